@@ -30,7 +30,7 @@ from thigmo.errors import ThigmoError
 from thigmo.localization import METHODS, Localizer
 from thigmo.reading_errors import SETTLED
 from thigmo_bench import benchmark
-from thigmo_bench.baselines import BASELINES, Problem
+from thigmo_bench.baselines import BASELINES, BaselineProblem
 from thigmo_bench.benchmark.score import score
 from thigmo_bench.studies import contact_scenes, pegs
 from thigmo_bench.studies.loads import DENSE, two
@@ -307,7 +307,8 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
         if not count:
             return []
         spans = np.full(position.size, span[0])
-        problem = Problem(curvature - free, position, spans, length, int(count), noise=noise)
+        reduced = curvature - free
+        problem = BaselineProblem(reduced, position, spans, length, int(count), noise=noise)
         arcs = BASELINES[method](problem)[0]
     except ThigmoError:
         return []

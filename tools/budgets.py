@@ -217,6 +217,34 @@ def move_starts(rig: Rig) -> list[Figure]:
     ]
 
 
+JUNK_BYTES, JUNK_MS = 79, 24
+
+
+def junk(rig: Rig) -> list[Figure]:
+    """A fast retraction while the line brings junk: noise, and whole frames with a flipped bit."""
+    robot, client = session(rig)
+    transport = client.transport
+    assert isinstance(transport, EmulatorTransport)
+    for name, value in (("line_rating_n", 2000), ("touch_n_s_m", 0)):
+        robot.set_parameter(name, [value])
+    robot.confirm_length(50.0, settled=True)
+    chance = np.random.default_rng(SEED)
+    longest = wire.SetMap(0, 0, wire.Branch.INFLATE, (7,) * wire.MAP_POINTS)
+    spoiled = bytearray(encode(longest, 1, client.hello.session))
+    spoiled[-3] ^= 16
+    frames = bytes(spoiled) * (JUNK_BYTES // len(spoiled))
+    rig.busy.clear()
+    client.request(wire.RetractTo(0, 25_000))
+    for number in range(60):
+        noise = bytes(chance.integers(1, 256, JUNK_BYTES - 1, np.uint8)) + b"\0"
+        transport.write(noise if number % 2 else frames)
+        transport.read(JUNK_MS / 1000)
+    load = np.convolve(rig.busy, np.ones(5), "valid").max() / (5 * CYCLES_PER_MS)
+    return [
+        Figure("load in a retraction, junk on the line, worst 5 ms", 100 * float(load), "%", 50)
+    ]
+
+
 STEP_COUNTS = 20
 
 
@@ -291,6 +319,7 @@ def measure() -> list[Figure]:
     figures += throughput(Rig(SEED, rig.eeprom))
     figures += commands(Rig(SEED, rig.eeprom))
     figures += move_starts(Rig(SEED, rig.eeprom))
+    figures += junk(Rig(SEED, rig.eeprom))
     figures += trigger_latency()
     return figures
 

@@ -24,7 +24,7 @@ HEAD = """\
 
 Written by `python tools/fault_table.py`; do not edit. Each row is a run of the firmware on the
 virtual board in the emulated body, at the body pressure that pulls hardest at the tail (1.47 psi,
-4.9 N). The failure begins in the middle of the motion and lasts 12 s. Muscles may be pressed to
+4.9 N). The failure begins in the middle of the motion and lasts 13 s. Muscles may be pressed to
 18.5 psi (`max_pressure_cpsi`).
 
 @SUMMARY@
@@ -59,10 +59,14 @@ The friction of motor and gearbox holds a pull of 11 N on the line [G: `dead_zon
 a stronger one is slowed by the shorted windings, not held, and becomes `spool_slip`.
 
 A line that snaps no longer holds the body, and nothing at the spool does. In growth, sensors that
-pass the tip too early reveal it, and the valve that empties the body ends the growth. While the
-spool stands or winds in, the encoder shows what it must, and nothing is noticed: the emergency stop
-ends that growth, by the same valve. A shorted driver that winds in pulls with 254 N if there is no
-brake. No duty limits that, so a line for such a robot must hold 300 N.
+pass the tip too early reveal it. While the spool winds in, two sensors reveal it that lie in the
+tail and are passed by a tip that runs outwards, or two that the tip was to meet on its way back
+and has not met; that takes up to two pitches of growth, or of winding in
+(`tests/sim/test_retraction.py`). IMUs show only that they were not met, which a short retraction
+may miss. The valve that empties the body then ends the growth. While the spool stands, the encoder
+shows what it must, and nothing is noticed: the emergency stop ends that growth, by the same valve.
+A shorted driver that winds in pulls with 254 N if there is no brake. No duty limits that, so a line
+for such a robot must hold 300 N.
 
 The board alone detects an encoder that loses counts, by three signs: the motor's speed at its duty,
 jumps of the encoder's signals, and two sensors that pass the tip before they may, judged by the
@@ -84,12 +88,12 @@ to 2.0. Where an encoder shows too little, the body may be home before the lengt
 base ends the motion, as `spool_stall`. The speed of winding in is limited so that line and tail
 bear that, also if the spool turns twice as fast as it shows.
 
-Bodies of 7 and 10 cm with a pitch of 14.5 cm need `thigmo calibrate encoder`: then the tip is a
-pitch off at most, 15 cm, when a factor of 0.5 to 2.0 is noticed in growth. Without it that holds
-for 7 cm only. In bodies of 10 cm the fold bends a sensor little more than the 0.05 1/cm by which
-the board sees it pass: one grew 29 cm beyond what half of its counts showed, and 1.7 times the
-counts went unnoticed over 45 cm. In retraction the length of such a body stays unconfirmed over
-longer ways.
+Bodies of 7 and 10 cm with a pitch of 14.5 cm are within half a pitch, 7.25 cm, for factors of 0.5
+to 2.0 in growth once `thigmo calibrate encoder` has measured how hard they pull
+(`tests/sim/test_lost_counts.py`, which allows a tenth more). Without it, one of 10 cm may be 10 cm
+off at factor 1.7: a tip that is held back looks the same until it reaches its next sensor, a pitch
+away. The fold bends a sensor in inverse proportion to the body's diameter, so that a thicker body's
+sensors are seen to pass by a smaller swing (`fold_swing_e5`).
 
 The host only provides a calibration:
 `thigmo calibrate encoder` measures how much duty the body's pull saves at each body pressure

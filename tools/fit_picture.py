@@ -30,6 +30,7 @@ from thigmo.field.posterior import Samples, Search
 from thigmo.mechanics import Peg
 from thigmo.record import Ellipse as Spread
 from thigmo.record import MapContact, RunDocument, RunFolder
+from thigmo.wiring import Wiring
 
 PICTURE = Path(__file__).resolve().parents[1] / "docs" / "pictures" / "fit.png"
 DRAWN = 120  # samples
@@ -65,7 +66,7 @@ def fitted(folder: Path, document: RunDocument) -> Fitted:
         for sweep in recorded_sweeps(folder)
         if any(peak.side == side for peak in sweep.peaks)
     ]
-    prepared = read(sweeps, side, config)
+    prepared = read(sweeps, side, Wiring.laid_out(config))
     assert prepared is not None  # it has a contact
     highest = max(float(prepared[0].bend.max()), 0.02)
     search = Search(*prepared, Atlas(config.body.length_cm, 1.5 * highest))

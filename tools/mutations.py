@@ -85,11 +85,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=12, help="mutants of each part")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--part", choices=PARTS, help="only this part; the other's result is kept")
     arguments = parser.parse_args()
     if subprocess.run(["git", "diff", "--quiet"], cwd=ROOT, check=False).returncode != 0:
         sys.exit("the tree has changes: commit them first")
-    results: dict[str, Any] = {}
-    for part, (patterns, tests) in PARTS.items():
+    results: dict[str, Any] = json.loads(RESULT.read_text())
+    for part in [arguments.part] if arguments.part else PARTS:
+        patterns, tests = PARTS[part]
         sample = places(patterns)
         random.Random(arguments.seed).shuffle(sample)
         survivors: list[str] = []

@@ -1,8 +1,8 @@
 """Pages made from the code's own texts: every command, every fault, refusal and
-error, and every entry of robot.toml.
+error, and every entry of robot.toml; and the parts lists with their totals.
 
 Written to docs/_made before the pages are read, and included by commands.md,
-troubleshooting.md and robot-toml.md.
+troubleshooting.md, robot-toml.md and hardware/parts.md.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import ast
 import inspect
 import json
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -26,11 +27,11 @@ from thigmo.config import (
     Body,
     BodyPressure,
     Muscle,
+    MuscleMap,
     RestCurvature,
     RobotConfig,
     Spool,
     TanhMap,
-    ZoneMap,
 )
 from thigmo.sensors import KINDS
 from thigmo.toml_model import Model
@@ -199,7 +200,7 @@ _ROBOT_TABLES: dict[str, type[Model]] = {
     "[[body.pressure]]": BodyPressure,
     "[[body.rest_curvature]]": RestCurvature,
     "[[muscle]]": Muscle,
-    "[[muscle.map]]": ZoneMap,
+    "[[muscle.map]]": MuscleMap,
     "[muscle.map.inflate], [muscle.map.deflate]": TanhMap,
     **{f'[[sensor]], kind = "{name}"': kind for name, kind in KINDS.items()},
     "[spool]": Spool,
@@ -290,6 +291,7 @@ def write(folder: Path) -> None:
         "errors.md": _errors_page(),
         "kinds.md": _kinds_page(),
         "robot_toml.md": _robot_toml_page(),
+        "parts.md": runpy.run_path(str(ROOT / "tools" / "parts.py"))["page"](),
     }.items():
         path = folder / name
         if not path.exists() or path.read_text() != text:

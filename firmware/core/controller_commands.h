@@ -176,7 +176,8 @@ THIGMO_NOINLINE inline void Controller::begin_move() {
   const bool growing = activity_ == Activity::kGrowing;
   const bool homing = activity_ == Activity::kHoming;
   if (start_ == Start::kSensors) {
-    fold_.begin(length_um_, growing, homing ? uint16_t{0} : derived_.enabled_mask, config_);
+    fold_.begin(length_um_, growing, homing ? uint16_t{0} : derived_.enabled_mask,
+                eversion_.settled_mask(), config_);
     start_ = Start::kSpool;
     return;
   }

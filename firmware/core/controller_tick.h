@@ -222,9 +222,9 @@ inline void Controller::watch_motion(int16_t duty) {
     return;
   }
   const bool growing = activity_ == Activity::kGrowing;
-  const bool pulls = fold_.moves() && zone_ < kBodyPressures;
-  motion_.step(encoder_, duty, moves() ? spool_.wanted_q16() : 0, growing,
-               pulls ? config_.get(Param::kPullDuty, zone_) : 0, config_, derived_);
+  const int32_t pull_duty = zone_ < kBodyPressures ? config_.get(Param::kPullDuty, zone_) : 0;
+  motion_.step(encoder_, duty, moves() ? spool_.wanted_q16() : 0, growing, fold_.moves(), pull_duty,
+               config_, derived_);
   if (growing && motion_.missed(derived_)) stall(protocol::StallCause::kSlow);
   if (growing && motion_.exceeds(derived_)) stall(protocol::StallCause::kFast);
   if (!winding()) return;
@@ -243,6 +243,9 @@ THIGMO_NOINLINE inline void Controller::watch_fold() {
       break;
     case FoldWatch::Verdict::kLate:
       stall(protocol::StallCause::kLate);
+      break;
+    case FoldWatch::Verdict::kOutwards:
+      stall(protocol::StallCause::kOutwards);
       break;
   }
 }

@@ -93,9 +93,7 @@ class Robot {
       if (session_.heard()) break;
       left = static_cast<uint8_t>(left - taken);
     }
-    if (!session_.heard()) return;
-    session_.answer(board_.micros(), commands_);
-    settle();
+    if (session_.heard() && session_.answer(board_.micros(), commands_)) settle();
   }
 
   // What a command has changed takes effect now, not at the next tick.

@@ -189,8 +189,8 @@ class Sampler {
     GPIOR0 |= _BV(kEndBit);
     done_ = true;
   }
-  static uint8_t low(const volatile Input* at) {
-    return static_cast<uint8_t>(reinterpret_cast<uintptr_t>(at));
+  static uint8_t low(const volatile Input* input) {
+    return static_cast<uint8_t>(reinterpret_cast<uintptr_t>(input));
   }
 
   // By slot 0..7, on even and on odd ticks.

@@ -66,13 +66,13 @@ __all__ = [
     "FlexSensor",
     "HeadingSensor",
     "Muscle",
+    "MuscleMap",
     "RestCurvature",
     "RobotConfig",
     "Sensor",
     "Side",
     "Spool",
     "TanhMap",
-    "ZoneMap",
     "opposite",
     "side_at",
 ]
@@ -229,6 +229,15 @@ class Body(Model):
         """Tube radius."""
         return self.diameter_cm / 2
 
+    @property
+    def fold_swing(self) -> float:
+        """Swing of a flex sensor's reading (1/cm) by which the tip's fold is seen to pass it.
+
+        A third of what the fold bends the sensor: a guess of 0.15 1/cm in a tube of 3.5 cm, and
+        less in a thicker one, which folds more gently.
+        """
+        return 0.15 * 3.5 / self.diameter_cm / 3
+
     def pull_n(self, pressure_psi: float) -> float:
         """Tension (N) of the tail: half of pressure times section (docs/hardware/facts.md)."""
         return 0.5 * pressure_psi * _PASCAL * pi * self.radius_cm**2 * 1e-4
@@ -267,7 +276,7 @@ class TanhMap(Model):
         return self.amplitude * (tanh((pressure_psi - self.offset_psi) / self.scale_psi) - start)
 
 
-class ZoneMap(Model):
+class MuscleMap(Model):
     """Free curvature of one muscle at one body pressure, inflating and deflating apart."""
 
     body_pressure_psi: NonNegative = 0.0  # at which it was measured
@@ -278,11 +287,11 @@ class ZoneMap(Model):
     @property
     def calibrated(self) -> bool:
         """Whether it was measured: its error is not the one that is assumed."""
-        return bool(self.scale_se != ZoneMap.model_fields["scale_se"].default)
+        return bool(self.scale_se != MuscleMap.model_fields["scale_se"].default)
 
 
-def _default_zone_maps() -> list[ZoneMap]:
-    return [ZoneMap(body_pressure_psi=p) for p in (1.47, 1.01, 0.49)]
+def _default_maps() -> list[MuscleMap]:
+    return [MuscleMap(body_pressure_psi=p) for p in (1.47, 1.01, 0.49)]
 
 
 def _word(name: str) -> str:
@@ -309,8 +318,8 @@ class Muscle(Placed):
     sweep_se: NonNegative = 0.01
     sweep_offset_se: NonNegative = 3e-4  # the same, 1/cm
     # Free curvature over pressure, one map for each body pressure.
-    maps: list[ZoneMap] = Field(
-        default_factory=_default_zone_maps, validation_alias="map", serialization_alias="map"
+    maps: list[MuscleMap] = Field(
+        default_factory=_default_maps, validation_alias="map", serialization_alias="map"
     )
 
 
@@ -320,7 +329,7 @@ def _default_muscles(robot: dict[str, Any]) -> list[Muscle]:
         Muscle(
             name=side,
             direction_deg=DEGREES[side],
-            maps=[ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in zones],
+            maps=[MuscleMap(body_pressure_psi=zone.pressure_psi) for zone in zones],
         )
         for side in SIDES
     ]
@@ -417,7 +426,7 @@ class RobotConfig(Model):
                 raise ValueError(f"sensor[{number}] ends beyond body.length_cm")
             if sensor.center_cm - sensor.span_cm / 2 < -1e-6:
                 raise ValueError(f"sensor[{number}] begins before the base: see its span_cm")
-            column = isinstance(sensor, FibreSensor), sensor.direction_deg
+            column = sensor.on_board, sensor.direction_deg
             if sensor.center_cm < first.setdefault(column, sensor.center_cm):
                 raise ValueError(
                     f"sensor[{number}] lies before the first of its column: list them base first"

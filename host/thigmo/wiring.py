@@ -2,8 +2,9 @@
 
 A board's first half of inputs is for one column, the second for the other; the contact trigger can
 work on the first input of each. A column takes its own half first, base first, and then what the
-other column leaves free: the first input of that last. `Wiring.of` computes this once from a
-robot.toml; whoever needs it is given it.
+other column leaves free: the first input of that last. `Wiring.laid_out` computes this once from a
+robot.toml where a robot is connected, emulated, judged or read from a record; all other functions
+are given it.
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ class WiredSensor(NamedTuple):
     @property
     def sound(self) -> bool:
         """Whether it is healthy, and answers to bends that way."""
-        answers = self.sensor.valid_direction in (0, 1 if self.share > 0 else -1)
+        answers = self.sensor.bend_sign in (0, 1 if self.share > 0 else -1)
         return self.sensor.healthy and answers
 
 
@@ -126,7 +127,7 @@ class Wiring:
     inputs: Mapping[tuple[Side, int], int]  # in the plane, by side and place from the base
 
     @classmethod
-    def of(cls, config: RobotConfig) -> Wiring:
+    def laid_out(cls, config: RobotConfig) -> Wiring:
         """Lay out a robot's sensors; ConfigError for one that no board can hold.
 
         Those that lie out of the plane take what the two columns leave, a base sensor first where
@@ -259,7 +260,7 @@ class Wiring:
         if len(self.unguarded_muscles) == len(config.muscles):
             return Limitation(
                 "no healthy sensor at the base answers to the muscles, so no sweep feels a contact",
-                "repair a base sensor, or correct its `healthy` and `valid_direction` in robot.toml"
+                "repair a base sensor, or correct its `healthy` and `bend_sign` in robot.toml"
                 + (
                     ", or wire one to the board: its trigger sees no fibre"
                     if config.gratings

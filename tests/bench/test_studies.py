@@ -11,12 +11,12 @@ from typer.testing import CliRunner
 
 from thigmo.cli.main import app
 from thigmo.errors import RunFolderError
+from thigmo.record import MapContact, RunDocument, TrueContact, TruePeg, Truth
 from thigmo_bench.cli.studies import lines
 from thigmo_bench.studies import STUDIES, Context, Outcome, load
 from thigmo_bench.studies.attempt import attempt
 from thigmo_bench.studies.engine import Claim, Explorations, write
 from thigmo_bench.studies.exploration import (
-    DRAWN,
     KINDS,
     Explored,
     Room,
@@ -116,12 +116,10 @@ def test_a_robot_beside_its_calibration_is_explored_and_judged() -> None:
     assert run.ellipses == 1
     outcome = judged([(run, mapped)])
     (row,) = outcome.tables["rows"]
-    assert row["kind"] in DRAWN
+    assert row["kind"] == "base turns to 0.05 rad"
     assert row["error_cm"] == run.error_cm
     claims = {claim.text: claim.value for claim in outcome.claims}
-    assert claims["base turns to 0.05 rad: 95 % ellipses without the truth"] == 100.0 * (
-        run.ellipses_missed
-    )
+    assert claims["95 % ellipses without the truth, all kinds"] == 100.0 * run.ellipses_missed
 
 
 def test_a_chosen_setting_is_tried_in_every_room_of_the_chosen_kinds() -> None:
@@ -133,6 +131,31 @@ def test_a_chosen_setting_is_tried_in_every_room_of_the_chosen_kinds() -> None:
         (kind, setting, "thesis") for kind in chosen.kinds for setting in chosen.settings
     }
     assert {room[:2] for room in every} <= whole  # the seeds of the study of all kinds
+
+
+@pytest.mark.parametrize(
+    ("arc_cm", "y_cm", "counts"),
+    [
+        (31.0, 0.3, (1, 0, 0)),  # the set holds the truth
+        (34.0, 0.3, (1, 1, 0)),  # it does not, but the contact stands beside it
+        (34.0, 4.0, (1, 1, 1)),
+    ],
+)
+def test_a_contact_is_localized_wrong_where_it_stands_over_a_radius_beside_what_its_set_lacks(
+    arc_cm: float, y_cm: float, counts: tuple[int, int, int]
+) -> None:
+    contact = MapContact(
+        arc_cm=arc_cm, x_cm=30.0, y_cm=y_cm, force_per_cm2=-2e-4,
+        interval_cm=(arc_cm - 2.0, arc_cm + 2.0), status="localized", everted_length_cm=53.0,
+        side="left", normal_rad=1.6, covariance_cm2=((1.0, 0.0), (0.0, 0.1)), track=[],
+        model="peg", readings=5,
+    )  # fmt: skip
+    truth = Truth(
+        pegs=[TruePeg(30.0, 1.0, 1.0)], contacts=[TrueContact(30.0, 0.0, 30.0, 53.0, 0, "left")]
+    )
+    explored = Explored("as calibrated", 1)
+    explored.judge(RunDocument("", "", "", "", contacts=[contact], truth=truth))
+    assert (explored.contacts_localized, explored.sets_missed, explored.contacts_wrong) == counts
 
 
 def test_runs_are_compared_room_by_room() -> None:

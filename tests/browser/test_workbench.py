@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from browsing import Looking, Served
+from clicks import clicks, counted, stated
 from contacts import CONTACT, run_folder
 from playwright.sync_api import Page, expect
 from scripted import ScriptedRun
@@ -296,3 +297,42 @@ def test_the_screen_has_one_word_for_certainty(page: Page, run: ScriptedRun) -> 
     expect(page.locator("#contact-rows")).to_contain_text("localized")
     assert "ambiguous" not in page.locator("main").inner_text()
     assert "ambiguous" not in " ".join(page.locator("#body text").all_text_contents())
+
+
+def test_clicks_to_start_a_run(looking: Looking, serve_page: ServePage) -> None:
+    page = counted(looking.open(serve_page(url="emulator://nowhere").address))
+    page.locator("#start").click()
+    page.wait_for_function("() => thigmo.store.page.starting")
+    assert clicks(page) == stated("start a run")
+
+
+def test_clicks_to_stop_and_to_answer(page: Page, run: ScriptedRun) -> None:
+    run.ask("Measure the everted length. How many cm?", "cm")
+    expect(counted(page).locator("#answer")).to_be_focused()
+    page.keyboard.type("20")
+    page.locator("#answer-send").click()
+    assert run.heard.wait(60)
+    assert run.answers == ["20"]
+    assert clicks(page) == stated("answer a question")
+    run.heard.clear()
+    counted(page).locator("#stop").hover()
+    page.mouse.down()
+    assert run.heard.wait(60)
+    assert run.asked[-1] == "stop"
+    assert clicks(page) == stated("stop the robot")
+    page.mouse.up()
+
+
+def test_clicks_to_open_and_overlay_runs_and_to_get_at_their_files(
+    looking: Looking, serve_page: ServePage, pair: tuple[ExplorationResult, ExplorationResult]
+) -> None:
+    first, second = (run.folder for run in pair)
+    page = counted(looking.open(serve_page(runs=first.parent).address))
+    page.get_by_label(f"Open {first.name}").click()
+    expect(page.locator("#run-name")).to_have_text("run1")
+    assert clicks(page) == stated("open a finished run")
+    page.get_by_label(f"Overlay {second.name}").click()
+    expect(page.locator("#runs-clear")).to_be_visible()
+    assert clicks(page) == stated("lay two runs over each other")
+    counted(page).locator("#result-copy").click()
+    assert clicks(page) == stated("get at a run's files")

@@ -14,7 +14,7 @@ from thigmo.emulator.board import EmulatedBoard
 from thigmo.link import protocol as wire
 from thigmo.link.transport import Transport, open_transport
 
-SILENCE_S = 1.6
+SILENCE_S = 2.2  # a boot loader's 1.1 s, and two announces: a reset may cut the first frame
 MAPS = list(product(range(3), range(2), wire.Branch))
 
 

@@ -414,7 +414,7 @@ def test_a_baud_rate_that_is_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "text", "what"),
+    ("number", "text", "problem"),
     [
         (13, "Permission denied", "no permission to open X; add yourself to the group"),
         (16, "Device or resource busy", "X is in use"),

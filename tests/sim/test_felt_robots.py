@@ -42,10 +42,10 @@ def test_a_robot_at_rest_feels_where_it_is_pushed(name: str) -> None:
 @pytest.mark.parametrize("name", EXPLORED)
 def test_a_robot_of_the_gallery_explores(name: str) -> None:
     measured = Calibrated(name, 1, config=unmeasured(name, 1))
-    room, empty = (visit(Room(measured, seed, seed == 1, False)) for seed in (1, 3))
-    assert not [run.status for run in (room, empty) if run.status.startswith("aborted")]
-    assert not room.missed
-    assert not room.wrong
+    touched, empty = (visit(Room(measured, seed, seed == 1, False)) for seed in (1, 3))
+    assert not [run.status for run in (touched, empty) if run.status.startswith("aborted")]
+    assert not touched.missed
+    assert not touched.wrong
     assert empty.status == "silent"
 
 
@@ -94,9 +94,9 @@ def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_pat
     assert answer["status"] == "no contact"
 
 
-def _grown_beside_a_wall(thigmo: Thigmo, tmp_path: Path, walls: list[WallTable]) -> dict[str, Any]:
-    whisker = gallery_robot("whisker")
-    room = room_for(whisker, 1, peg=False)
+def _grown_whisker(thigmo: Thigmo, tmp_path: Path, walls: list[WallTable]) -> dict[str, Any]:
+    """The answer of `thigmo feel --grow-to 53` beside walls."""
+    room = room_for(gallery_robot("whisker"), 1, peg=False)
     room.walls = walls
     url = room_file(tmp_path, room)
     ran = thigmo("feel", "--robot", url, "--grow-to", "53", "--count", "1", "--json")
@@ -109,13 +109,13 @@ def test_a_muscleless_vine_feels_what_bends_it_while_it_grows(
     thigmo: Thigmo, tmp_path: Path
 ) -> None:
     aslant = WallTable(x=30.0, y=-6.0, end_x=60.0, end_y=10.0)
-    answer = _grown_beside_a_wall(thigmo, tmp_path, [aslant])
+    answer = _grown_whisker(thigmo, tmp_path, [aslant])
     (contact,) = answer["contacts"]
     (truth,) = answer["truth"]
     assert answer["length_cm"] < 53.0
     low, high = contact["interval"]  # to the length by the encoder
     assert low <= truth["arc_cm"] <= high + LENGTH_CM
-    free = _grown_beside_a_wall(thigmo, tmp_path, [])
+    free = _grown_whisker(thigmo, tmp_path, [])
     assert free["status"] == "no contact"
     assert free["length_cm"] == pytest.approx(53.0, abs=0.1)
 

@@ -121,10 +121,10 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
         for lies in turned.values()
         for sensor in column
     ]
-    assert [sensor.center_cm for sensor in Wiring.of(robot).sensors if sensor].count(
+    assert [sensor.center_cm for sensor in Wiring.laid_out(robot).sensors if sensor].count(
         column[0].center_cm
     ) == 3
-    assert Wiring.of(robot).base_inputs == (0, 8)
+    assert Wiring.laid_out(robot).base_inputs == (0, 8)
     scene = room_for(robot, 0, peg=False)
     scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
     scene.save(tmp_path / "space.toml")
@@ -207,7 +207,7 @@ def test_a_side_without_a_base_sensor_is_not_swept_and_the_run_says_so(tmp_path:
         ("right", "lower"),
     ]
     robot.column("right")[0].healthy = False
-    beyond = Wiring.of(robot).unexplorable
+    beyond = Wiring.laid_out(robot).unexplorable
     assert beyond is not None
     assert "so no sweep feels a contact" in beyond.problem
 
@@ -216,9 +216,9 @@ def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
     """A flex sensor and a string of IMUs on opposite sides: both read bends to the right."""
     robot = draft(120, 8, 2, kind="heading")
     robot.sensors += draft(120, 5, 2).column("left")
-    assert len(Wiring.of(robot).trigger_sensors(robot.muscle("right"))) == 2
+    assert len(Wiring.laid_out(robot).trigger_sensors(robot.muscle("right"))) == 2
     robot.column("left")[0].healthy = False
-    assert Wiring.of(robot).unguarded_muscles == ()
+    assert Wiring.laid_out(robot).unguarded_muscles == ()
     swept = [finding for finding in judge(robot) if finding.part == "sweep of right"]
     assert [sweep.mark for sweep in swept] == ["ok", "ok"]
 
@@ -226,7 +226,7 @@ def test_either_base_sensor_of_two_kinds_is_enough_for_a_sweep() -> None:
 def test_a_sweep_that_nothing_at_the_base_can_feel_is_refused() -> None:
     with connect("emulator://empty") as robot:
         config = robot.config
-        for base in Wiring.of(config).trigger_sensors(config.muscle("left")):
+        for base in Wiring.laid_out(config).trigger_sensors(config.muscle("left")):
             base.sensor.healthy = False
         robot.configure(config)
         with pytest.raises(ConfigError, match=r"no healthy sensor .* to muscle left"):
@@ -250,7 +250,7 @@ def test_an_imu_that_hangs_is_a_fault_that_leaves_the_robot_safe(tmp_path: Path)
             robot.wait(5.0)
         assert robot.status().state == "fault"
         read = robot.read(0.2, despite_faults=True).resistance
-        inputs = Wiring.of(scene.robot).inputs
+        inputs = Wiring.laid_out(scene.robot).inputs
         open_ = {n for (_, n), number in inputs.items() if not np.isfinite(read[number])}
         assert open_ == {3, 4}
 

@@ -11,7 +11,7 @@ from emulated import room_file, scene_at
 
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.exploration import explore, replay, run_knowledge
-from thigmo.exploration.stall import Lean
+from thigmo.exploration.stall import HeldBent
 from thigmo.record import OBSTACLES_FILE, RunFolder, read_obstacles
 from thigmo_bench.studies.rooms import explored
 
@@ -76,15 +76,15 @@ def test_a_replay_tells_the_same_peg(tmp_path: Path, peg: PegTable) -> None:
 def test_zeros_that_moved_by_themselves_end_no_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def moved(*grown: Any) -> Lean | None:
+    def moved(*grown: Any) -> HeldBent | None:
         """What zeros that move in proportion to their levers look like, when 40 cm are out."""
         if round(max(grown[0].length_cm, default=30.0)) != 40:
             return None
         lever = np.maximum(34.0 - grown[-1].center_cm, 0.0)
-        bend = np.where(grown[-1].direction >= 0, 2e-4 * lever, np.nan)
-        return Lean(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, bend)
+        bend = np.where(grown[-1].bend_sign >= 0, 2e-4 * lever, np.nan)
+        return HeldBent(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, bend)
 
-    monkeypatch.setattr(run_knowledge, "lean", moved)
+    monkeypatch.setattr(run_knowledge, "detect_held_bent", moved)
     result = explore(room_file(tmp_path, scene_at(30.0)), seed=1, out=tmp_path)
     steps = [note.facts.get("step") for note in RunFolder(result.folder).read_log().notes]
     assert steps.count("held_bent") == steps.count("zeros_moved") == 1  # refuted once for all

@@ -69,6 +69,22 @@ def test_a_wrong_encoder_is_noticed_or_the_tip_is_where_the_retraction_says(
     assert f"may be up to {end.farther_cm:.1f} cm farther out if" in end.words
 
 
+SNAPS_CM = [(50, 0), (44, 12), (33, 0), (29, 0), (20, 0), (20, 12)]
+
+
+@pytest.mark.parametrize("name", ["thesis", "thick-7", "thick-10", "one-column"])
+@pytest.mark.parametrize(("start_cm", "to_cm"), SNAPS_CM)
+@pytest.mark.parametrize("after_s", [0.3, 1.0])
+def test_a_line_that_snaps_while_the_spool_winds_in_is_noticed(
+    name: str, start_cm: float, to_cm: float, after_s: float
+) -> None:
+    """The body grew to its full length, and the retraction ended as if it were home."""
+    robot, transport = armed(scene_of(name, start_cm))
+    fault = FaultTable(kind="line_snapped", at_s=transport.now() + after_s)
+    transport.lockstep.faults.inject(fault)
+    assert retract(robot, to_cm) is None
+
+
 def half_blind(start_cm: float, share: float) -> tuple[Robot, EmulatorTransport]:
     """A robot of one column, of whose five sensors the two at the base are dead."""
     scene = scene_of("one-column", start_cm)

@@ -13,7 +13,7 @@ from thigmo.robot.curvature import Floats, SensorTable
 from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
-TABLE = SensorTable.of(Wiring.of(CONFIG))
+TABLE = SensorTable.laid_out(Wiring.laid_out(CONFIG))
 OVERSAMPLE = 16
 YOUNG = 1 << 4 | 1 << 9  # the last sensor of each side
 
@@ -33,7 +33,7 @@ def _watched(
     creep = 0.02 * rng.standard_normal(10)
     offset = 0.002 * rng.standard_normal(10)
     everted_s = -1.125  # the tip passed 47.75 cm then, at 2 cm/s
-    watch = CreepWatch(Wiring.of(CONFIG), OVERSAMPLE)
+    watch = CreepWatch(Wiring.laid_out(CONFIG), OVERSAMPLE)
     for t in np.arange(-5.0, until_s, 0.02):
         length = 50.0 + 2.0 * min(t, 0.0)
         late = np.zeros(10)

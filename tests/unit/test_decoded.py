@@ -21,7 +21,8 @@ from thigmo.robot.publishing import Publisher, bent
 from thigmo.stream import BodyShape, Telemetry, read_messages, recording
 from thigmo.wiring import Wiring
 
-TABLE = SensorTable.of(Wiring.of(RobotConfig())).zeroed(dict.fromkeys(range(10), 16 * 660.0))
+WIRING = Wiring.laid_out(RobotConfig())
+TABLE = SensorTable.laid_out(WIRING).zeroed(dict.fromkeys(range(10), 16 * 660.0))
 
 
 def _frame(
@@ -40,7 +41,7 @@ def _frame(
 
 def _publisher(table: SensorTable, epoch_s: float) -> Publisher:
     link: Any = SimpleNamespace(now=lambda: 0.0, on_telemetry=[], on_event=[])
-    publisher = Publisher(link, Wiring.of(RobotConfig()), table)
+    publisher = Publisher(link, WIRING, table)
     publisher.epoch_s = epoch_s
     return publisher
 

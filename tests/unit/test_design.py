@@ -72,14 +72,14 @@ def test_a_sweep_without_a_base_sensor_at_rest_feels_nothing() -> None:
     config.sensors = list(config.column("left"))
     findings = {finding.part: finding for finding in judge(config)}
     # As explore does: it sweeps the muscle that it can, and finds what lies there.
-    assert Wiring.of(config).unexplorable is None
+    assert Wiring.laid_out(config).unexplorable is None
     assert _bad(judge(config)) == []
     assert findings["sweep of left"].mark == "warning"
     assert "sweeps right only" in findings["sweep of left"].text
     config.muscles = [config.muscle("left")]
     (said,) = _bad(judge(config))
     assert said.startswith("sweep of left: feels nothing")
-    assert Wiring.of(config).unexplorable is not None
+    assert Wiring.laid_out(config).unexplorable is not None
 
 
 def _localizes(config: RobotConfig, side: str) -> Finding:
@@ -149,7 +149,7 @@ def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
     (beyond,) = wiring.beyond_board(config)
     assert "18 sensors, and the largest board holds 16" in beyond.problem
     with pytest.raises(ConfigError, match="18 sensors"):
-        Wiring.of(config)
+        Wiring.laid_out(config)
     more = RobotConfig()
     last = more.body.zones[-1]
     more.body.zones += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
@@ -181,10 +181,10 @@ def test_every_sensor_has_an_input_and_base_sensors_those_of_the_trigger(
 ) -> None:
     config = draft(200, 16, 2)
     config.sensors = [*config.column("left")[:left], *config.column("right")[:right]]
-    inputs = Wiring.of(config).inputs
+    inputs = Wiring.laid_out(config).inputs
     assert len(inputs) == len(set(inputs.values())) == left + right
     half = 5 if left + right <= 10 else 8
-    assert Wiring.of(config).base_inputs == tuple(
+    assert Wiring.laid_out(config).base_inputs == tuple(
         first for first, count in ((0, left), (half, right)) if count
     )
     for side, first in zip(SIDES, (0, half), strict=True):
@@ -220,7 +220,7 @@ def test_scales_of_the_wrong_sign_are_warned_of() -> None:
     (said,) = warned(config)
     assert said.startswith("sensor left 2: its resistance falls in the only bends")
     for sensor in config.column("left"):
-        sensor.valid_direction = 0
+        sensor.bend_sign = 0
     (said,) = warned(config)
     assert said.startswith("column left: scales of both signs: those of flex 2 (0 = at the base)")
     config = draft(53, 10, 2, kind="fibre")
@@ -309,10 +309,10 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
     config = draft(53, None, muscles)
     assert len(config.board_sensors) == 16
     for muscle in config.muscles:
-        column = [w for w in Wiring.of(config).sensors_reading(muscle) if abs(w.share) > 0.99]
+        column = [w for w in Wiring.laid_out(config).sensors_reading(muscle) if abs(w.share) > 0.99]
         assert len(column) == (5 if muscles == 3 else 4)
         assert all(sensor.sound for sensor in column)
-    assert [muscle.name for muscle in Wiring.of(config).unguarded_muscles] == unguarded
+    assert [muscle.name for muscle in Wiring.laid_out(config).unguarded_muscles] == unguarded
     said = judge(config)
     assert _bad(said) == []
     warned = [sensor.part for sensor in said if "no base sensor on the board" in sensor.text]

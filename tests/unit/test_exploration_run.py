@@ -21,6 +21,7 @@ from thigmo.record import LogWriter, RunDocument, RunFolder
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.robot.strains import Strains
 from thigmo.stream import Hub
+from thigmo.wiring import Wiring
 
 EVERY_PITCH = Effort("every pitch", measurements=1)
 
@@ -193,12 +194,12 @@ def _explore(
     log = LogWriter(tmp_path / "run.mcap", {})
     run = Exploration(
         robot,  # type: ignore[arg-type]
-        RobotConfig(),
+        Wiring.laid_out(RobotConfig()),
         RunFolder(tmp_path),
         log,
         document,
         progress,
-        Planner(RobotConfig(), THESIS if protocol == "thesis" else effort),
+        Planner(Wiring.laid_out(RobotConfig()), THESIS if protocol == "thesis" else effort),
         protocol,
     )
     with log:

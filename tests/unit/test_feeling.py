@@ -10,7 +10,7 @@ import pytest
 
 from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration.measuring import (
-    held_back,
+    curvature_deficit,
     measuring_pressure,
     pressing_zone,
     touch_curvature,
@@ -65,7 +65,7 @@ def test_a_base_that_reads_too_much_is_measured_where_it_is_held_back_most() -> 
 def test_a_body_that_straightens_sooner_than_its_map_says_is_not_held_back() -> None:
     frames = _half("left", 0.0, 6.0)
     vented = [replace(frame, excess=-0.006) if frame.t_s > 6.0 else frame for frame in frames]
-    assert held_back(vented, "left").max() < 1e-9
+    assert curvature_deficit(vented, "left").max() < 1e-9
 
 
 @pytest.mark.parametrize(

@@ -39,20 +39,20 @@ def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path:
     assert RobotConfig.load(tmp_path / "robot.toml") == CONFIG
     assert len(CONFIG.gratings) == 20  # two a grating
     assert wiring.board_size(CONFIG).name == "mega"
-    assert not any(Wiring.of(CONFIG).sensors)
-    assert not any(parameter_settings(Wiring.of(CONFIG))["flex_enabled"])
+    assert not any(Wiring.laid_out(CONFIG).sensors)
+    assert not any(parameter_settings(Wiring.laid_out(CONFIG))["flex_enabled"])
     alone = CONFIG.model_copy(update={"interrogator": "127.0.0.1:7400"})
-    assert "no healthy sensor at the base" in (Wiring.of(alone).unexplorable or ("",))[0]
-    assert "its trigger sees no fibre" in (Wiring.of(alone).unexplorable or ("", ""))[1]
+    assert "no healthy sensor at the base" in (Wiring.laid_out(alone).unexplorable or ("",))[0]
+    assert "its trigger sees no fibre" in (Wiring.laid_out(alone).unexplorable or ("", ""))[1]
     said = {(finding.part, finding.mark) for finding in judge(CONFIG)}
     assert {("explore", "warning"), ("fibre", "ok"), ("sweep of left", "warning")} <= said
     both = RobotConfig()
     both.sensors = [*both.sensors, *IN_PLANE]
-    assert "no interrogator" in (Wiring.of(both).unexplorable or ("",))[0]
+    assert "no interrogator" in (Wiring.laid_out(both).unexplorable or ("",))[0]
     both.interrogator = "127.0.0.1:7400"
-    assert Wiring.of(both).unexplorable is None
+    assert Wiring.laid_out(both).unexplorable is None
     # The flex sensors keep their inputs, and the trigger works on them.
-    assert Wiring.of(both).sensors == Wiring.of(RobotConfig()).sensors
+    assert Wiring.laid_out(both).sensors == Wiring.laid_out(RobotConfig()).sensors
     assert ("sweep of left", "warning") not in {
         (finding.part, finding.mark) for finding in judge(both)
     }

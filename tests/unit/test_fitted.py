@@ -17,6 +17,7 @@ from thigmo.exploration.stall import Obstruction
 from thigmo.field import FieldContact
 from thigmo.field.answer import UNEXPLAINED_WORDS
 from thigmo.robot import Peak, SweepFrame, SweepResult
+from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
 
@@ -57,7 +58,7 @@ def _sweep(
 
 def _mapped(fits: Fits, *answers: FieldContact, side: Side = "left") -> ContactMap:
     fits.answers = list(answers)
-    room = ContactMap(CONFIG)
+    room = ContactMap(Wiring.laid_out(CONFIG))
     room.add_sweep(_sweep(side), 2, [side])
     return room
 
@@ -121,7 +122,7 @@ def test_the_cells_along_the_body_hold_the_samples(fits: Fits) -> None:
 
 
 def test_a_side_that_feels_nothing_new_is_not_measured(fits: Fits) -> None:
-    interpreter = Interpreter(CONFIG)
+    interpreter = Interpreter(Wiring.laid_out(CONFIG))
     fits.answers = [a_fit(39.0, 40.0)]
     short = _sweep(length_cm=40.0)
     interpreter.take(short, 2)
@@ -140,7 +141,7 @@ def test_a_side_that_feels_nothing_new_is_not_measured(fits: Fits) -> None:
 
 def test_a_body_that_was_held_bent_before_its_sweep_says_nothing_of_that_side(fits: Fits) -> None:
     fits.answers = [a_fit(45.0)]
-    interpreter = Interpreter(CONFIG)
+    interpreter = Interpreter(Wiring.laid_out(CONFIG))
     caught = _sweep(held_at_rest=0.007)
     interpreter.take(caught, 2)
     assert interpreter.felt_sides(caught) == set()
@@ -150,7 +151,7 @@ def test_a_body_that_was_held_bent_before_its_sweep_says_nothing_of_that_side(fi
 
 def test_a_stage_says_what_it_felt_and_how_well(fits: Fits) -> None:
     fits.answers = [a_fit(45.0)]
-    interpreter = Interpreter(CONFIG)
+    interpreter = Interpreter(Wiring.laid_out(CONFIG))
     sweep = _sweep()
     interpreter.take(sweep, 2)
     (answer,) = interpreter.localize(sweep, None, 2, 2)
@@ -164,7 +165,7 @@ def test_a_stage_says_what_it_felt_and_how_well(fits: Fits) -> None:
 
 def test_a_stage_says_why_its_place_is_a_guess(fits: Fits) -> None:
     fits.answers = [a_fit(45.0, doubt=UNEXPLAINED_WORDS)]
-    interpreter = Interpreter(CONFIG)
+    interpreter = Interpreter(Wiring.laid_out(CONFIG))
     sweep = _sweep()
     interpreter.take(sweep, 2)
     (answer,) = interpreter.localize(sweep, None, 2, 2)

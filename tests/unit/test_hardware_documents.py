@@ -170,3 +170,49 @@ def test_printed_pieces_have_the_sizes_that_are_stated() -> None:
         )
         assert f"printed/{name}.stl" in page
         assert (folder / f"{name}.step").read_text().startswith("ISO-10303-21")
+
+
+def test_each_part_has_an_order_number_and_a_dated_price_or_says_that_none_was_found() -> None:
+    tool = runpy.run_path(str(ROOT / "tools/parts.py"))
+    rows = [row for name in PARTS for row in tool["read"](name)]
+    for row in rows:
+        if tool["is_priced"](row):
+            assert re.fullmatch(r"\d+\.\d{2,4} [A-Z]{3}", row["price"]), row
+            assert row["order"], row
+            assert row["source"].startswith("https://"), row
+            assert re.fullmatch(r"(20\d\d-\d\d(-\d\d)?)?", row["dated"]), row
+        else:
+            assert row["price"] in (tool["NO_PRICE"], tool["PRINTED"]), row
+            assert (row["price"] == tool["PRINTED"]) == row["part"].startswith("printed/"), row
+            assert not row["dated"], row
+
+
+def test_the_total_is_that_of_the_rows_and_counts_what_it_leaves_out() -> None:
+    tool = runpy.run_path(str(ROOT / "tools/parts.py"))
+    row = {"count": "3", "price": "0.10 USD", "dated": "2026-09-22"}
+    rows = [
+        row,
+        {**row, "count": "2", "price": "1.97 PLN", "dated": "2025-04"},
+        {**row, "count": "1", "price": "0.25 USD", "dated": ""},
+        {**row, "price": tool["NO_PRICE"], "dated": ""},
+        {**row, "price": tool["PRINTED"], "dated": ""},
+    ]
+    text = tool["summary"](rows)
+    assert text.startswith("3 of 5 rows have a price: together 3.94 PLN and 0.55 USD,")
+    assert "by prices of 2025-04 to 2026-09-22" in text
+    assert text.endswith("Rows without a price: 1; printed: 1.")
+
+
+def test_the_page_of_parts_shows_every_row_below_its_total(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    tool = runpy.run_path(str(ROOT / "tools/parts.py"))
+    assert tool["main"](["--page"]) == 0
+    page = capsys.readouterr().out
+    for name in PARTS:
+        rows = tool["read"](name)
+        assert tool["summary"](rows) in page
+        for row in rows:
+            assert f"| {row['ref']} | {row['count']} |" in page
+    assert tool["main"]([]) == 0
+    assert "TL TR" in capsys.readouterr().out

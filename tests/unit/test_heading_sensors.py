@@ -22,7 +22,7 @@ from thigmo.robot.configuration import parameter_settings
 from thigmo.wiring import Wiring
 
 CONFIG = draft(100, 12, 2, kind="heading")
-TABLE = SensorTable.of(Wiring.of(CONFIG))
+TABLE = SensorTable.laid_out(Wiring.laid_out(CONFIG))
 STRING = [sensor for sensor in CONFIG.sensors if isinstance(sensor, HeadingSensor)]
 ROWS = np.flatnonzero(TABLE.healthy)[np.argsort(TABLE.center_cm[TABLE.healthy])]
 
@@ -49,10 +49,10 @@ def test_what_neighbours_share_is_what_from_headings_says() -> None:
 def test_a_string_serves_both_muscles_and_its_base_counts_while_either_bends() -> None:
     every = (1 << len(TABLE.healthy)) - 1
     assert TABLE.usable("left", every).sum() == TABLE.usable("right", every).sum() == 12
-    answer = parameter_settings(Wiring.of(CONFIG))
+    answer = parameter_settings(Wiring.laid_out(CONFIG))
     assert [mask for mask in answer["trigger_when"] if mask] == [0b10000011]
     # The fold must not lie on an IMU; between two of them it may.
-    first = Wiring.of(CONFIG).base_inputs[0]
+    first = Wiring.laid_out(CONFIG).base_inputs[0]
     assert answer["flex_center_um"][first] == round(STRING[0].ends_cm[1] * 1e4)
     assert answer["flex_span_um"][first] == 12_000
 

@@ -16,7 +16,7 @@ from PIL import Image
 from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.exploration.obstacles import SIGMAS, export_obstacles, occupancy
-from thigmo.exploration.prior import match, read_prior, within_reach
+from thigmo.exploration.prior import boost, match, read_prior, within_reach
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.workspace import Bend, centreline, place_contact, ramp_knots
 from thigmo.record import (
@@ -363,6 +363,22 @@ def test_a_contact_at_a_known_obstacle_is_that_obstacle() -> None:
     assert match(prior, _contact(arc=41.0)) == 0
     assert match(prior, _contact(arc=20.0)) is None
     assert match([], _contact()) is None
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_a_map_makes_no_contact_likelier_than_it_is_without(count: int) -> None:
+    """Its obstacles together are as likely as a new one: over the skin the mean is 1."""
+    arcs = np.linspace(0.0, 53.0, 2001)
+    skin = np.column_stack((arcs, np.full_like(arcs, RADIUS)))
+    touched = np.linspace(12.0, 41.0, count)
+    point = ((0.0, 0.0), (0.0, 0.0))
+    prior = [
+        replace(_known(_contact())[0], x_cm=float(x), y_cm=RADIUS, covariance_cm2=point)
+        for x in touched
+    ]
+    density = boost(prior, skin, 53.0)
+    assert density.mean() == pytest.approx(1.0, abs=0.01)
+    assert density.min() == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_known_obstacle_that_is_met_is_one_with_the_contact(folder: RunFolder) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from thigmo.config import RobotConfig
 from thigmo.errors import ConfigError
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.link import protocol as wire
 from thigmo.robot.configuration import map_settings, parameter_settings
 from thigmo.wiring import Wiring
@@ -42,7 +42,7 @@ def test_a_finger_has_no_spool_no_pouches_and_no_fold(tmp_path: Path) -> None:
     assert RobotConfig.load(tmp_path / "written.toml") == finger
     assert finger.body.critical_curvature == inf
     assert stage_lengths(finger) == [12.0]
-    sent = parameter_settings(Wiring.of(finger))
+    sent = parameter_settings(Wiring.laid_out(finger))
     assert (sent["grows"], sent["brake_fitted"]) == ([0], [0])
 
 
@@ -69,7 +69,7 @@ def test_a_body_that_grows_needs_air(tmp_path: Path) -> None:
 
 
 def test_a_robot_without_muscles_is_described_and_explore_says_why_not(tmp_path: Path) -> None:
-    wiring = Wiring.of(_robot(WHISKER, tmp_path))
+    wiring = Wiring.laid_out(_robot(WHISKER, tmp_path))
     sent = parameter_settings(wiring)
     assert sent["muscle_fitted"] == []  # those that are not stated are sent as 0
     assert map_settings(wiring) == []
@@ -81,7 +81,7 @@ def test_a_robot_without_muscles_is_described_and_explore_says_why_not(tmp_path:
 
 def test_a_file_without_a_pressure_range_keeps_20_psi(tmp_path: Path) -> None:
     robot = _robot("", tmp_path)
-    sent = parameter_settings(Wiring.of(robot))
+    sent = parameter_settings(Wiring.laid_out(robot))
     for name in ("map_top_cpsi", "over_pressure_cpsi", "pressure_full_cpsi", "drive_20ma_cpsi"):
         assert sent[name] == wire.PARAMETERS[name].defaults
     with pytest.raises(ConfigError) as caught:
@@ -97,11 +97,11 @@ def test_maps_and_limits_follow_the_pressure_range(tmp_path: Path) -> None:
         '[[muscle]]\nname = "left"\nmax_pressure_psi = 30.0\n' + "[[muscle.map]]\n" * 3
     )
     robot = _robot(text, tmp_path)
-    sent = parameter_settings(Wiring.of(robot))
+    sent = parameter_settings(Wiring.laid_out(robot))
     assert (sent["map_top_cpsi"], sent["max_pressure_cpsi"]) == ([3000], [3000])
     assert sent["over_pressure_cpsi"] == [3300]
     inflate = robot.muscles[0].maps[0].inflate
-    first = map_settings(Wiring.of(robot))[0]
+    first = map_settings(Wiring.laid_out(robot))[0]
     assert first.curvature_e5[-1] == round(inflate.curvature(30.0) * 1e5)
     assert first.curvature_e5[5] == round(inflate.curvature(15.0) * 1e5)
 

@@ -7,9 +7,10 @@ import pytest
 from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import ConfigError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Plan, Planner, chosen_effort, within
-from thigmo.exploration.plan import growth_target, growth_zone, half_everted, stage_lengths
+from thigmo.exploration.growth import growth_target, growth_zone, half_everted, stage_lengths
 from thigmo.exploration.states import TRANSITIONS, State
 from thigmo.field import expected_sweeps
+from thigmo.wiring import Wiring
 
 
 def test_the_thesis_robot_stops_at_whole_pitches_and_at_its_full_length() -> None:
@@ -18,7 +19,7 @@ def test_the_thesis_robot_stops_at_whole_pitches_and_at_its_full_length() -> Non
 
 def next_stage(config: RobotConfig, length: float, *, swept: bool) -> float | None:
     """The next stage of the thesis's protocol, which stops at every pitch."""
-    plan = Planner(config, THESIS).plan(length, swept_cm=[length] if swept else [])
+    plan = Planner(Wiring.laid_out(config), THESIS).plan(length, swept_cm=[length] if swept else [])
     return next(iter(plan.stops), None)
 
 
@@ -84,7 +85,8 @@ def test_a_pitch_at_which_a_sensor_would_be_creased_is_left_out() -> None:
 
 def test_an_effort_is_a_budget_and_careful_omits_nothing() -> None:
     config = RobotConfig()
-    planners = {name: Planner(config, effort) for name, effort in EFFORTS.items()}
+    wiring = Wiring.laid_out(config)
+    planners = {name: Planner(wiring, effort) for name, effort in EFFORTS.items()}
     plans = {name: planner.plan() for name, planner in planners.items()}
     assert plans["careful"].stops == tuple(stage_lengths(config))
     assert set(plans["quick"].stops) <= set(plans["default"].stops) < set(plans["careful"].stops)
@@ -97,41 +99,43 @@ def test_an_effort_is_a_budget_and_careful_omits_nothing() -> None:
 
 def test_more_time_buys_more_and_is_kept_to() -> None:
     config = RobotConfig()
-    planners = [Planner(config, within(t_s, config)) for t_s in (70, 100, 130, 170, 200, 300)]
+    wiring = Wiring.laid_out(config)
+    planners = [Planner(wiring, within(t_s, wiring)) for t_s in (70, 100, 130, 170, 200, 300)]
     plans = [planner.plan() for planner in planners]
-    sides = [expected_sweeps(config, "left", stage_lengths(config))]
+    sides = [expected_sweeps(wiring, "left", stage_lengths(config))]
     worth = []
     for planner, plan in zip(planners, plans, strict=True):
         assert plan.stops
         assert planner.expected_s(plan) <= planner.effort.time_s - 5.0
         sweeps = [(1 + plan.measurements) * (cm in plan.stops) for cm in stage_lengths(config)]
-        worth.append(sum(sides[0].told_by(sweeps, 3.0 / 53)))
+        worth.append(sum(sides[0].felt_and_placed(sweeps, 3.0 / 53)))
     assert worth == sorted(worth)
     assert worth[0] < worth[-1]
     assert plans[-1] == Plan(tuple(stage_lengths(config)), 2)
 
 
 def test_a_budget_that_no_sweep_can_use_up_says_so() -> None:
-    config = RobotConfig()
-    assert "of the budget are not planned" in Planner(config, within(150.0, config)).skips()
-    assert "of the budget" not in Planner(config, within(130.0, config)).skips()
+    wiring = Wiring.laid_out(RobotConfig())
+    assert "of the budget are not planned" in Planner(wiring, within(150.0, wiring)).skips()
+    assert "of the budget" not in Planner(wiring, within(130.0, wiring)).skips()
 
 
 def test_a_budget_that_runs_out_on_the_way_keeps_what_tells_most() -> None:
-    config = RobotConfig()
-    planner = Planner(config, within(150.0, config))
+    wiring = Wiring.laid_out(RobotConfig())
+    planner = Planner(wiring, within(150.0, wiring))
     planned = planner.plan()
     late = planner.plan(40.0, 110.0, [40.0])
     assert set(late.stops) <= set(planned.stops) - {40.0}
     assert late.stops
     assert planner.plan(40.0, 149.0, [40.0]).stops == ()
     # Too little for the full length, but not for a sweep.
-    assert 0.0 < Planner(config, within(60.0, config)).plan().stops[-1] < 53
+    assert 0.0 < Planner(wiring, within(60.0, wiring)).plan().stops[-1] < 53
 
 
 def test_a_plan_made_on_the_way_waits_for_what_settles_yet() -> None:
     config = RobotConfig()
-    planner = Planner(config, within(160.0, config))
+    wiring = Wiring.laid_out(config)
+    planner = Planner(wiring, within(160.0, wiring))
     both = Plan((50.0, 53.0), 2)
     spent = 160.0 - planner.expected_s(both, 40.0) - 0.1
     assert planner.plan(40.0, spent, [40.0]) == both
@@ -162,10 +166,11 @@ def test_a_choice_that_cannot_be_says_what_can(
 
 
 def test_a_budget_too_short_for_a_sweep_says_how_long_one_takes() -> None:
+    wiring = Wiring.laid_out(RobotConfig())
     with pytest.raises(DataError) as refused:
-        within(20.0, RobotConfig())
+        within(20.0, wiring)
     least = float(refused.value.next_step.split()[2])
-    planner = Planner(RobotConfig(), within(least, RobotConfig()))
+    planner = Planner(wiring, within(least, wiring))
     assert len(planner.plan().stops) == 1
 
 

@@ -13,7 +13,6 @@ from thigmo.calibrate.steps import fit_csv, steps_of
 from thigmo.config import FlexSensor, RestCurvature, RobotConfig
 from thigmo.design import judge
 from thigmo.errors import ConfigError, DataError
-from thigmo.exploration.feeling import _straightened
 from thigmo.localization import localize
 from thigmo.mechanics import Tube, push, rest_mean, rest_turn
 from thigmo.robot.publishing import bent
@@ -92,13 +91,13 @@ def test_the_camera_calibrates_only_what_does_not_hang_on_a_straight_body(tmp_pa
 def test_a_flex_sensor_is_weak_where_the_whole_bend_is_against_it(
     at_rest: float, bend: float
 ) -> None:
-    sensor = FlexSensor(center_cm=5.0, valid_direction=1)
+    sensor = FlexSensor(center_cm=5.0, bend_sign=1)
 
     def answered(curvature: float) -> float:
         return curvature if curvature >= 0.0 else sensor.against_gain * curvature
 
     reading = answered(at_rest + bend) - answered(at_rest)
-    known, curvature = _straightened(sensor, reading, at_rest)
+    known, curvature = sensor.straightened(reading, at_rest)
     assert curvature == pytest.approx(bend)
     assert (known.scale_se > sensor.scale_se) is (at_rest + bend < 0.0)
 

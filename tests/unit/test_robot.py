@@ -131,7 +131,7 @@ def test_the_board_ends_up_with_what_robot_toml_says() -> None:
     config.column("right")[1].center_se_cm = 0.25
     config.muscle("right").lag_s = 0.15
     assert robot.configure(config)
-    for name, values in parameter_settings(Wiring.of(config)).items():
+    for name, values in parameter_settings(Wiring.laid_out(config)).items():
         assert robot.parameter(name) == values, name
     assert robot.parameter("flex_enabled") == [1, 1, 0, 1, 1, 1, 1, 1, 1, 1]
     assert robot.parameter("flex_center_um")[6] == 145_000
@@ -334,22 +334,24 @@ def test_parameters_are_checked_before_they_are_sent() -> None:
 def test_too_many_sensors_for_the_board_are_named() -> None:
     left = [FlexSensor(center_cm=5.0 + 2.5 * n) for n in range(17)]
     with pytest.raises(ConfigError, match="17 sensors"):
-        parameter_settings(Wiring.of(RobotConfig(sensors=left)))
+        parameter_settings(Wiring.laid_out(RobotConfig(sensors=left)))
 
 
 def test_fewer_sensors_leave_the_rest_disabled() -> None:
     config = RobotConfig(sensors=[FlexSensor(center_cm=5.0)])
-    assert parameter_settings(Wiring.of(config))["flex_enabled"] == [1] + [0] * 9
-    assert SensorTable.of(Wiring.of(config)).healthy.tolist() == [True] + [False] * 9
+    assert parameter_settings(Wiring.laid_out(config))["flex_enabled"] == [1] + [0] * 9
+    assert SensorTable.laid_out(Wiring.laid_out(config)).healthy.tolist() == [True] + [False] * 9
 
 
 def test_all_settings_fit_the_schemas_ranges() -> None:
     config = RobotConfig()
-    for name, values in parameter_settings(Wiring.of(config)).items():
+    for name, values in parameter_settings(Wiring.laid_out(config)).items():
         entry = wire.PARAMETERS[name]
         assert len(values) == entry.count
         assert all(entry.low <= value <= entry.high for value in values), name
-    assert all(len(m.curvature_e5) == wire.MAP_POINTS for m in map_settings(Wiring.of(config)))
+    assert all(
+        len(m.curvature_e5) == wire.MAP_POINTS for m in map_settings(Wiring.laid_out(config))
+    )
 
 
 def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() -> None:
@@ -364,15 +366,15 @@ def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() ->
     def sent() -> list[int]:
         return [
             setting.curvature_e5[-1]
-            for setting in map_settings(Wiring.of(config))
+            for setting in map_settings(Wiring.laid_out(config))
             if (setting.zone, setting.branch) == (0, wire.Branch.INFLATE)
         ]
 
     assert sent() == [full, -full, 0]
-    bits = parameter_settings(Wiring.of(config))["trigger_when"]
+    bits = parameter_settings(Wiring.laid_out(config))["trigger_when"]
     assert (bits[0], bits[8]) == (0x80 | 1 << 1, 0x80 | 1 << 0)
     # Of a bend towards 0 degrees one sensor reads nothing, and the other wrinkles.
-    assert [muscle.name for muscle in Wiring.of(config).unguarded_muscles] == ["0deg"]
+    assert [muscle.name for muscle in Wiring.laid_out(config).unguarded_muscles] == ["0deg"]
     # One that reads half of a bend guards it in place of a dead one that would read all.
     config.sensors[0].healthy, config.sensors[0].direction_deg = False, 30.0
     config.sensors[1].direction_deg = 330.0
@@ -382,10 +384,10 @@ def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() ->
 def test_the_boards_trigger_does_not_count_a_base_sensor_that_does_not_answer_to_a_bend() -> None:
     """It reads nothing of the bend, so the trigger would take every bend for a contact."""
     config = RobotConfig()
-    config.column("left")[0].valid_direction = 1  # bends to the right are negative
-    bits = parameter_settings(Wiring.of(config))["trigger_when"]
+    config.column("left")[0].bend_sign = 1  # bends to the right are negative
+    bits = parameter_settings(Wiring.laid_out(config))["trigger_when"]
     assert (bits[0], bits[5]) == (0x80, 0x80 | 1 << 0)
-    assert [muscle.name for muscle in Wiring.of(config).unguarded_muscles] == ["right"]
+    assert [muscle.name for muscle in Wiring.laid_out(config).unguarded_muscles] == ["right"]
 
 
 @given(ohm=st.floats(3_000, 60_000))
@@ -395,7 +397,9 @@ def test_resistance_is_the_dividers_inverse(ohm: float) -> None:
 
 
 def test_an_open_circuit_gives_no_number() -> None:
-    table = SensorTable.of(Wiring.of(RobotConfig())).zeroed(dict.fromkeys(range(10), 16 * 640.0))
+    table = SensorTable.laid_out(Wiring.laid_out(RobotConfig())).zeroed(
+        dict.fromkeys(range(10), 16 * 640.0)
+    )
     sums = np.full(10, 16 * 600.0)
     sums[3] = 0
     curvature = table.curvature(sums)
@@ -408,15 +412,17 @@ def test_an_open_circuit_gives_no_number() -> None:
 def test_only_the_inactive_sides_sensors_that_answer_are_usable() -> None:
     config = RobotConfig()
     config.column("right")[0].healthy = False
-    config.column("right")[1].valid_direction = -1
-    table = SensorTable.of(Wiring.of(config))
+    config.column("right")[1].bend_sign = -1
+    table = SensorTable.laid_out(Wiring.laid_out(config))
     assert np.flatnonzero(table.usable("left", 0x3FF)).tolist() == [7, 8, 9]
     assert np.flatnonzero(table.usable("left", 0x17F)).tolist() == [8]
     assert np.flatnonzero(table.usable("right", 0x3FF)).tolist() == [0, 1, 2, 3, 4]
 
 
 def test_a_peak_is_the_mean_of_its_readings() -> None:
-    table = SensorTable.of(Wiring.of(RobotConfig())).zeroed(dict.fromkeys(range(10), 16 * 640.0))
+    table = SensorTable.laid_out(Wiring.laid_out(RobotConfig())).zeroed(
+        dict.fromkeys(range(10), 16 * 640.0)
+    )
     shots = [
         SweepFrame("left", float(n), 17.0 + n, 0.03 + n * 1e-5, -0.01, (16 * 600 + n,) * 10)
         for n in range(10)

@@ -20,7 +20,7 @@ def test_a_robot_of_the_gallery_is_good_and_nothing_is_asked(file: Path) -> None
     assert [
         finding for finding in findings if finding.mark == "bad" or finding.part == "units"
     ] == []
-    refused = Wiring.of(robot).unexplorable is not None
+    refused = Wiring.laid_out(robot).unexplorable is not None
     assert (findings[0].part == "explore") is refused
     assert refused is (file.stem in ("three-muscles", "whisker", "tendon", "preformed"))
 

@@ -13,6 +13,7 @@ from thigmo.exploration.run_knowledge import RunKnowledge
 from thigmo.exploration.stall import Obstruction
 from thigmo.link import protocol as wire
 from thigmo.record import Log, Note, RunFolder
+from thigmo.wiring import Wiring
 
 
 def replayed(folder: Path, *steps: dict[str, Any]) -> RunKnowledge:
@@ -24,7 +25,7 @@ def replayed(folder: Path, *steps: dict[str, Any]) -> RunKnowledge:
 
 def test_a_replay_takes_the_steps_that_the_run_has_noted(tmp_path: Path) -> None:
     noted: list[dict[str, Any]] = []
-    live = RunKnowledge(RobotConfig())
+    live = RunKnowledge(Wiring.laid_out(RobotConfig()))
     live.journal = lambda step, numbers: noted.append({"step": step, "numbers": dict(numbers)})
     live.growth_begins()
     live.tries_more_pressure(zone=2)
@@ -52,7 +53,7 @@ def test_a_damaged_note_is_left_out(damaged: dict[str, Any], tmp_path: Path) -> 
 
 
 def test_zeros_that_moved_by_themselves_are_not_asked_about_again_up_to_that_length() -> None:
-    knowledge = RunKnowledge(RobotConfig())
+    knowledge = RunKnowledge(Wiring.laid_out(RobotConfig()))
     knowledge.obstruction = Obstruction(40.0, 34.0, (33.0, 35.5), 3, 2e-4)
     knowledge.zeros_moved()
     assert (knowledge.obstruction, knowledge.straight_cm) == (None, 40.0)

@@ -54,3 +54,34 @@ def test_every_kind_passes_the_tip_within_the_body() -> None:
         reach_cm = passage.span_cm / 2
         assert 0.0 < passage.center_cm - reach_cm < passage.center_cm + reach_cm < body_cm
         assert passage.center_se_cm > 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_quieter_sensor_reads_with_smaller_errors_and_is_a_copy(kind: str) -> None:
+    sensor = made(kind)
+    quieter = sensor.quieter(4.0)
+    assert quieter.noise == sensor.noise / 4.0
+    assert quieter.zero_error == sensor.zero_error / 4.0
+    assert sensor == made(kind)
+
+
+@pytest.mark.parametrize("kind", ["heading", "fibre"])
+def test_a_kind_without_a_preferred_sign_reads_alike_in_bends_of_both(kind: str) -> None:
+    sensor = made(kind)
+    assert sensor.straightened(-0.01, 0.02) == (sensor, -0.01)
+    assert sensor.response_against == (1.0, 0.0)
+
+
+def test_a_flex_sensor_states_its_weak_answer_only_if_it_prefers_a_sign() -> None:
+    both, left = (FlexSensor(center_cm=5.0, bend_sign=sign) for sign in (0, 1))
+    assert both.response_against == (1.0, 0.0)
+    assert left.response_against == (left.against_gain, left.against_gain_se)
+
+
+def test_a_count_is_worth_the_bend_that_changes_the_divider_by_one_count() -> None:
+    sensor = FlexSensor(center_cm=5.0)
+    divider_ohm, count = 10_000.0, 1024 * 10_000.0 / (10_000.0 + sensor.zero_ohm)
+    bent_ohm = divider_ohm * (1024 / (count - 1e-3) - 1)
+    per_count = sensor.reading(bent_ohm) / 1e-3
+    assert sensor.count_curvature(divider_ohm, 1024) == pytest.approx(per_count, rel=1e-3)
+    assert made("heading").count_curvature(divider_ohm, 1024) == 0.0

@@ -15,7 +15,7 @@ from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
-TABLE = SensorTable.of(Wiring.of(CONFIG))
+TABLE = SensorTable.laid_out(Wiring.laid_out(CONFIG))
 
 
 def _growth(start: float, stop: float, tip: float = 99.0, seed: int = 0) -> tuple[Floats, Floats]:
@@ -61,7 +61,7 @@ def test_a_thicker_body_folds_more_gently() -> None:
     thick = RobotConfig()
     thick.body.diameter_cm *= 4
     length, bend = _growth(30.0, 40.0, 35.0)
-    obstruction = stall(length, bend / 6, SensorTable.of(Wiring.of(thick)))
+    obstruction = stall(length, bend / 6, SensorTable.laid_out(Wiring.laid_out(thick)))
     assert obstruction is not None
     assert obstruction.arc_cm == pytest.approx(35.0, abs=1.0)
     # Of the thesis's tube so small a rise is creep.
@@ -72,6 +72,17 @@ def test_a_thicker_body_folds_more_gently() -> None:
 def test_one_sensor_that_is_silent_is_a_sensor_that_is_broken() -> None:
     length, bend = _growth(30.0, 40.0)
     bend[:, 3] = 0.3
+    assert stall(length, bend, TABLE) is None
+
+
+@pytest.mark.parametrize("off_cm", [-0.4, 0.4])
+def test_a_fold_that_comes_before_its_sensors_place_is_no_stall(off_cm: float) -> None:
+    """An IMU turns over within a centimetre, and places are in doubt."""
+    length = np.linspace(30.0, 41.0, 240)
+    bend = np.full((240, 10), 0.12)
+    low, high = TABLE.center_cm - TABLE.span_cm / 2, TABLE.center_cm + TABLE.span_cm / 2
+    bend += 0.35 * np.clip(length[:, None] - (low + off_cm) + 0.5, 0.0, 1.0)
+    bend -= 0.34 * np.clip(length[:, None] - (high + off_cm) + 0.5, 0.0, 1.0)
     assert stall(length, bend, TABLE) is None
 
 
@@ -91,7 +102,7 @@ def test_a_stall_has_causes_and_never_is_a_localized_peg_by_itself() -> None:
             likely_causes.obstacle + likely_causes.wall + likely_causes.pressure
             == pytest.approx(1.0, abs=1e-3)
         )
-        room = ContactMap(CONFIG)
+        room = ContactMap(Wiring.laid_out(CONFIG))
         room.add_obstruction(_obstruction(late))
         assert room.stall == likely_causes
         assert all(contact.status == "ambiguous" for contact in room.contacts)
@@ -103,7 +114,7 @@ def test_a_tip_that_slowed_before_it_stopped_lacks_pressure() -> None:
     )
     assert at_once < unknown < slowed
     assert slowed > 0.95
-    room = ContactMap(CONFIG)
+    room = ContactMap(Wiring.laid_out(CONFIG))
     room.add_obstruction(_obstruction((2.5, 2.5)))
     assert room.contacts == []  # and what is likely no obstacle is on no map
     assert room.stall is not None
@@ -114,7 +125,7 @@ def test_a_trial_at_a_higher_pressure_decides() -> None:
     moved, stood = (causes(_obstruction((0.0, 0.1)), moved_on=moved) for moved in (True, False))
     assert moved.pressure > 0.95
     assert stood.pressure < 0.05
-    room = ContactMap(CONFIG)
+    room = ContactMap(Wiring.laid_out(CONFIG))
     room.tried(_obstruction(), moved_on=True)
     assert room.contacts == []
     room.tried(_obstruction(), moved_on=False)

@@ -87,7 +87,7 @@ struct Derived {
   int32_t home_speed_um_s;
   int32_t motor_slope_q16;   // counts a control step for each duty beyond the dead zone
   int32_t speed_margin_q16;  // the same of speed_margin_duty
-  int32_t helped_q16;        // the same of what the body's pull and less friction save
+  int32_t friction_q16;      // the same of what less friction saves
   int32_t missed_q16;        // counts, in 1/65536
   int32_t excess_q16;
   int32_t astray_q16;
@@ -312,6 +312,7 @@ struct Derived {
     const int32_t tip_um_s = c.get(Param::kLineSpeedUmS) * 256 / c.get(Param::kPayoutQ8);
     motor_slope_q16 = speed_q16(tip_um_s) / (kMotorFull - c.get(Param::kSpoolDeadZone));
     speed_margin_q16 = c.get(Param::kSpeedMarginDuty) * motor_slope_q16;
+    friction_q16 = c.get(Param::kSpoolDeadZone) / kFrictionShare * motor_slope_q16;
     judges_encoder = c.get(Param::kSpeedMarginDuty) < kMotorFull;
   }
 
@@ -319,7 +320,6 @@ struct Derived {
     pull_duty = saturated16(c.get(Param::kBodyPullN) * kMotorFull / c.get(Param::kMotorStallN));
     holding_duty = static_cast<int16_t>(
         limited<int32_t>(pull_duty - c.get(Param::kSpoolDeadZone), 0, kMotorFull / 2));
-    helped_q16 = (pull_duty + c.get(Param::kSpoolDeadZone) / kFrictionShare) * motor_slope_q16;
   }
 
   void update_tolerances() {

@@ -112,7 +112,8 @@ class FrameDecoder {
 
   // Takes bytes as they came, up to the first zero; `taken` says how many. After kFrame, frame() is
   // valid until the next call. What changes from byte to byte stays in registers: byte by byte, an
-  // AVR would take six times as long.
+  // AVR would take six times as long. Of what is longer than any frame, bytes are only passed over:
+  // noise must not load a robot that moves.
   THIGMO_NOINLINE Result push(const uint8_t* bytes, uint8_t count, uint8_t* taken) {
     const uint8_t* const top = frame_.bytes + protocol::kMaxFrame;
     uint8_t* output = frame_.bytes + count_;
@@ -125,11 +126,13 @@ class FrameDecoder {
         *taken = static_cast<uint8_t>(count - unread);
         return finish(static_cast<uint8_t>(output - frame_.bytes), left == 0);
       }
+      if (overlong_) continue;
       if (left == 0) {
         // A code byte: so many bytes to the next zero, which the code before it stood for (the code
         // 255 stands for none, but no frame is that long).
         left = static_cast<uint8_t>(byte - 1);
         byte = 0;
+        overlong_ = left > top - output;
         if (!begun_) {
           begun_ = true;
           continue;

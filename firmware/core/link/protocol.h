@@ -18,7 +18,7 @@ namespace thigmo {
 namespace protocol {
 
 constexpr uint8_t kProtocol = 1;
-constexpr uint32_t kSchemaHash = 0xB282620Cu;
+constexpr uint32_t kSchemaHash = 0xA55E906Fu;
 constexpr uint8_t kMaxWire = 96;   // bytes of a frame, delimiter included
 constexpr uint8_t kMaxFrame = 94;  // header to check sequence
 constexpr uint8_t kMaxPayload = 87;
@@ -197,12 +197,16 @@ enum class StallCause : uint8_t {
   kSlow = 1,     // The encoder shows a lower speed than the motor has at this duty.
   kJumps = 2,    // The encoder's signals skip a state: edges are lost, or there is noise.
   kEverted = 3,  // Two sensors passed the tip before the encoder had counted that far.
-  kLate = 4,     // Two sensors passed the tip after the encoder had counted farther: it shows too
-                 // much, or the tip was held back and the tail is slack.
+  kLate = 4,  // Two sensors passed the tip after the encoder had counted farther, or were not met
+              // on the way back: it shows too much, the tip was held back and the tail is slack, or
+              // the line has snapped.
   kFast = 5,  // The encoder shows a higher speed than the motor has at this duty, even if the body
               // pulls as hard as it can.
+  kOutwards = 6,  // Two sensors in the tail passed the tip outwards while the spool wound in: the
+                  // line has snapped or the tail has come off. Press the emergency stop to empty
+                  // the body, then look at line and tail.
 };
-constexpr uint8_t kStallCauseCount = 6;
+constexpr uint8_t kStallCauseCount = 7;
 
 // How a spool_slip was noticed (value of its event).
 enum class SlipCause : uint8_t {
@@ -1707,7 +1711,11 @@ enum class Param : uint16_t {
       kSensors,  // Sensors, by bit, whose readings do not show where the tip passes them, such as
                  // an IMU whose turn a reader gives to the converter. They accuse no encoder and
                  // confirm no length.
-  kBodyPullN = kUnseenMask +
+  kFoldSwingE5 = kUnseenMask +
+      1,  // How far the reading of a flex sensor must swing out for the board to see that the tip's
+          // fold passes it: a third of what the fold bends it, which is inversely proportional to
+          // the body's diameter. Default: a tube of 3.5 cm. (1e-5/cm)
+  kBodyPullN = kFoldSwingE5 +
       1,  // Most that the body pulls its tail with: half of its highest pressure times its section.
           // Growth that the encoder shows beyond what the motor gives at its duty, helped by this
           // pull, is a spool_stall. (N)
@@ -1793,6 +1801,7 @@ constexpr ParamKey kParamKeyTable[] THIGMO_PROGMEM = {
     {60, kSensors},        // trigger_when
     {63, kSensors},        // flex_center_se_um
     {68, 1},               // unseen_mask
+    {69, 1},               // fold_swing_e5
     {64, 1},               // body_pull_n
     {65, 1},               // brake_closes_ms
 #if THIGMO_IMUS
@@ -1890,6 +1899,7 @@ constexpr ParamRows param_rows() {
   rows.add(kSensors, 0, 255, trigger_when);
   rows.add(kSensors, 0, 32000, 1000);  // flex_center_se_um
   rows.add(1, 0, 65535, 0);            // unseen_mask
+  rows.add(1, 500, 30000, 5000);       // fold_swing_e5
   rows.add(1, 0, 2000, 5);             // body_pull_n
   rows.add(1, 0, 250, 40);             // brake_closes_ms
   rows.add(kImus, 0, 1023, 0);         // imu_from

@@ -58,14 +58,17 @@ class Session {
   //   void heartbeat();
   //   void hello(bool same_host);  // it goes on after a session that was spoilt
   //   void stop(uint32_t nonce);
+  // Returns whether it was whole: one that was not changes nothing.
   template <typename Handler>
-  void answer(uint32_t now_us, Handler& handler) {
-    if (heard_ == FrameDecoder::Result::kBad) {
-      ++counters_.rx_bad;
-    } else {
+  bool answer(uint32_t now_us, Handler& handler) {
+    const bool whole = heard_ == FrameDecoder::Result::kFrame;
+    if (whole) {
       take(decoder_.frame(), now_us, handler);
+    } else {
+      ++counters_.rx_bad;
     }
     heard_ = FrameDecoder::Result::kMore;
+    return whole;
   }
 
   // The reply to the deferred command.

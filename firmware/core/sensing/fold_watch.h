@@ -17,7 +17,15 @@
 // still grows there is late already, for its sensor has not reached the fold; one that begins
 // before the fold can have reached the sensor is early.
 //
+// In retraction the tail is taut, so that a sensor that the fold was to meet and has not met is
+// late as well. In growth a tip may stand still and leave the tail slack without an error of the
+// encoder.
+//
 // While a reading still swings out the tip moves: the body then pulls at the tail.
+//
+// While the spool winds in, a sensor that lies wholly in the tail moves away from the fold. The
+// fold meets it only if the tip runs outwards, past what is paid out: the line has snapped, or the
+// tail has come off. Two flex sensors show that, since one may be bad.
 //
 // The last sensor that passed on the way out or in, and the length shown there, tell the host how
 // far the tip may be from the length shown now, though no pair has accused the encoder.
@@ -32,9 +40,8 @@ namespace thigmo {
 
 class FoldWatch {
  public:
-  enum class Verdict : uint8_t { kNone, kEarly, kLate };
+  enum class Verdict : uint8_t { kNone, kEarly, kLate, kOutwards };
 
-  static constexpr int32_t kSwingE5 = 5000;  // 0.05/cm: more than a sensor in the tail is bent
   // What a confirmed length is off by, and the way between two looks at a sensor.
   static constexpr int32_t kDoubtUm = 8000;
   // Between two pairs only the sensors' places are in doubt, and those looks.
@@ -51,11 +58,16 @@ class FoldWatch {
   // until the fold has come, however often the spool stops. One that the fold has entered by a
   // quarter has no resting value: it shows no more than that the tip moves. Nor has, once the spool
   // turns, one that the fold was not seen to leave: behind a tip that stood still, it may be in
-  // there yet.
-  void begin(int32_t length_um, bool grows, uint16_t enabled, const Configuration& c) {
-    const uint16_t awaited = grows != grows_ ? watched_ : uint16_t{0};
-    if (grows != grows_) restart(length_um);
-    const uint16_t unseen = static_cast<uint16_t>(c.get(Param::kUnseenMask));
+  // there yet. Nor has one that has come out lately, and still creeps to its rest as it is wound
+  // in: `settled` are those that do not.
+  void begin(int32_t length_um, bool grows, uint16_t enabled, uint16_t settled,
+             const Configuration& c) {
+    uint16_t restless = static_cast<uint16_t>(c.get(Param::kUnseenMask));
+    if (!grows) restless = static_cast<uint16_t>(restless | ~settled);
+    if (grows != grows_) {
+      restless = static_cast<uint16_t>(restless | watched_);
+      restart(length_um);
+    }
     grows_ = grows;
     for (uint8_t i = 0; i < kSensors; ++i) {
       const uint16_t bit = static_cast<uint16_t>(1u << i);
@@ -64,7 +76,7 @@ class FoldWatch {
       watched_ = static_cast<uint16_t>(watched_ | bit);
       unread_ = static_cast<uint16_t>(unread_ | bit);
       const bool clear =
-          ((awaited | unseen) & bit) == 0 && lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
+          (restless & bit) == 0 && lag < -kDoubtUm - (c.get(Param::kFlexSpanUm, i) >> 2);
       judged_ = static_cast<uint16_t>(clear ? judged_ | bit : judged_ & ~bit);
     }
     watched_ = static_cast<uint16_t>(watched_ & enabled);
@@ -75,7 +87,7 @@ class FoldWatch {
   // confirmed or homed.
   void restart(int32_t length_um) {
     for (Pair& pair : pair_) pair = Pair{};
-    watched_ = 0;
+    watched_ = stowed_ = outwards_ = passed_ = unmet_ = 0;
     seen_sensor_ = kNone;
     seen_um_ = length_um;
   }
@@ -87,27 +99,37 @@ class FoldWatch {
     const uint8_t i = next_;
     next_ = static_cast<uint8_t>(next_ + 1 == kSensors ? 0 : next_ + 1);
     const uint16_t bit = static_cast<uint16_t>(1u << i);
-    if ((watched_ & bit) == 0) return Verdict::kNone;
+    const int32_t lag = lag_um(length_um, i, c);
+    if (!grows_ && (watched_ & bit) == 0 && !is_imu(i, c)) watch_stowed(i, bit, lag, c, d);
+    if (((watched_ | stowed_) & bit) == 0) return Verdict::kNone;
     const int32_t total = total_ohm_q4(count_q6(flex.latest(i), flex.log2()));
     const bool fresh = (unread_ & bit) != 0;
     unread_ = static_cast<uint16_t>(unread_ & ~bit);
-    const int32_t lag = lag_um(length_um, i, c);
     const bool imu = is_imu(i, c);
+    if ((stowed_ & bit) != 0) return stowed_moves(i, bit, total, lag, fresh, c, d);
     const int32_t place_se_um = c.get(Param::kFlexCenterSeUm, i);
     const bool passed =
-        imu ? turned(i, total, fresh) : swung(i, total, lag, out_of_place(lag, i, c), fresh, d);
-    if (!passed) return Verdict::kNone;
+        imu ? turned(i, total, fresh) : swung(i, total, lag, out_of_place(lag, i, c), fresh, c, d);
+    if (!passed) {
+      const bool swings = !imu && top_e5_[i] >= c.get(Param::kFoldSwingE5);
+      if (swings || !overdue(bit, lag, place_se_um)) return Verdict::kNone;
+      unmet_ = static_cast<uint16_t>(unmet_ | bit);
+      return pair_[imu].judge(lag, place_se_um);
+    }
     // A reading that stays out after its top is no fold's that passes: it may stand in the sensor.
     if (!imu && lag - top_um_[i] > c.get(Param::kFlexSpanUm, i) / 2) {
       judged_ = static_cast<uint16_t>(judged_ & ~bit);
       return Verdict::kNone;
     }
     watched_ = static_cast<uint16_t>(watched_ & ~bit);
+    passed_ = static_cast<uint16_t>(passed_ | bit);
+    if (imu) top_um_[i] = lag;
     if ((judged_ & bit) == 0) return Verdict::kNone;
-    const int32_t passed_um = imu ? lag : top_um_[i];
+    const int32_t passed_um = top_um_[i];
     const int32_t center_um = c.get(Param::kFlexCenterUm, i);
     seen_sensor_ = i;
     seen_um_ = grows_ ? center_um + passed_um : center_um - passed_um;
+    if ((unmet_ & bit) != 0) return Verdict::kNone;  // judged as late already
     return pair_[imu].judge(passed_um, place_se_um);
   }
 
@@ -173,18 +195,53 @@ class FoldWatch {
     return grows_ ? beyond : -beyond;
   }
 
+  // How far from a sensor's centre the fold may bend it, whatever is in doubt.
+  static int32_t reach_um(uint8_t sensor, const Configuration& c) {
+    return c.get(Param::kFlexSpanUm, sensor) / 2 + c.get(Param::kFoldMarginUm) + kDoubtUm +
+           kSigmas * c.get(Param::kFlexCenterSeUm, sensor);
+  }
+
   // Whether a sensor that swings out here does so too early, before the fold can have reached its
   // near end, or too late.
   static bool out_of_place(int32_t lag, uint8_t sensor, const Configuration& c) {
-    const int32_t place_se_um = c.get(Param::kFlexCenterSeUm, sensor);
-    const int32_t reach_um =
-        c.get(Param::kFlexSpanUm, sensor) / 2 + c.get(Param::kFoldMarginUm) + kDoubtUm;
-    return lag > late_um(place_se_um) || lag < -reach_um - kSigmas * place_se_um;
+    return lag > late_um(c.get(Param::kFlexCenterSeUm, sensor)) || lag < -reach_um(sensor, c);
+  }
+
+  // Whether the fold ought to have met a sensor on its way back, whatever is in doubt.
+  bool overdue(uint16_t bit, int32_t lag, int32_t place_se_um) const {
+    return !grows_ && (judged_ & ~unmet_ & bit) != 0 && lag > late_um(place_se_um) + kDoubtUm;
+  }
+
+  // Watches a sensor from when the spool has wound it wholly into the tail. One that the fold has
+  // met on this way is in it half a span later: a span later, if the encoder shows twice its way.
+  void watch_stowed(uint8_t i, uint16_t bit, int32_t lag, const Configuration& c,
+                    const Derived& d) {
+    if (lag <= 0 || (d.enabled_mask & bit) == 0) return;
+    const uint16_t unseen = static_cast<uint16_t>(c.get(Param::kUnseenMask));
+    if (((stowed_ | outwards_ | unseen) & bit) != 0) return;
+    const int32_t out_um = (passed_ & bit) != 0 ? top_um_[i] + c.get(Param::kFlexSpanUm, i) +
+                                                      c.get(Param::kFoldMarginUm)
+                                                : reach_um(i, c);
+    if (lag <= out_um) return;
+    stowed_ = static_cast<uint16_t>(stowed_ | bit);
+    unread_ = static_cast<uint16_t>(unread_ | bit);
+  }
+
+  // Looks at a flex sensor in the tail of a spool that winds in. An IMU there shows its turn
+  // against the one before it, which changes as that one is wound in.
+  Verdict stowed_moves(uint8_t i, uint16_t bit, int32_t total, int32_t lag, bool fresh,
+                       const Configuration& c, const Derived& d) {
+    if (!swung(i, total, lag, true, fresh, c, d)) return Verdict::kNone;
+    stowed_ = static_cast<uint16_t>(stowed_ & ~bit);
+    const bool second = outwards_ != 0;
+    outwards_ = static_cast<uint16_t>(outwards_ | bit);
+    return second ? Verdict::kOutwards : Verdict::kNone;
   }
 
   // Whether a flex sensor's reading has swung back by an eighth, or swings out where it must not;
   // top_um_ then is its lag.
-  bool swung(uint8_t i, int32_t total, int32_t lag, bool misplaced, bool fresh, const Derived& d) {
+  bool swung(uint8_t i, int32_t total, int32_t lag, bool misplaced, bool fresh,
+             const Configuration& c, const Derived& d) {
     if (fresh) {
       rest_[i] = total;
       top_e5_[i] = 0;
@@ -195,9 +252,9 @@ class FoldWatch {
       top_e5_[i] = saturated16(swing);
       top_um_[i] = lag;
       moves_ = kMovesSteps;
-      return swing >= kSwingE5 && misplaced;
+      return swing >= c.get(Param::kFoldSwingE5) && misplaced;
     }
-    return top_e5_[i] >= kSwingE5 && swing <= top_e5_[i] - (top_e5_[i] >> 3);
+    return top_e5_[i] >= c.get(Param::kFoldSwingE5) && swing <= top_e5_[i] - (top_e5_[i] >> 3);
   }
 
   // Whether an IMU has turned over in the fold: out of the tail it looks the way that the one
@@ -215,8 +272,12 @@ class FoldWatch {
   int32_t top_um_[kSensors] = {};  // lag when it swung out furthest
   int16_t top_e5_[kSensors] = {};
   uint16_t watched_ = 0;
-  uint16_t judged_ = 0;  // with a resting value
-  uint16_t unread_ = 0;  // no resting value yet
+  uint16_t judged_ = 0;    // with a resting value
+  uint16_t unread_ = 0;    // no resting value yet
+  uint16_t stowed_ = 0;    // watched in the tail, while the spool winds in
+  uint16_t outwards_ = 0;  // that the fold met there
+  uint16_t passed_ = 0;    // that it passed on this way
+  uint16_t unmet_ = 0;     // that it was to meet on its way back
   uint8_t next_ = 0;
   uint8_t moves_ = 0;  // control steps for which the tip counts as moving
   uint8_t seen_sensor_ = kNone;

@@ -28,7 +28,7 @@ from thigmo.calibrate.lag import Lag, fit_lag, ramp, tanh_curve
 from thigmo.calibrate.overhead import CAMERA_SCALE_SE
 from thigmo.calibrate.regression import Mask
 from thigmo.calibrate.verdict import StepResult, Verdict, listed
-from thigmo.config import SAME_PRESSURE, SIGN, Muscle, RobotConfig, TanhMap, ZoneMap
+from thigmo.config import SAME_PRESSURE, SIGN, Muscle, MuscleMap, RobotConfig, TanhMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table
 from thigmo.wiring import WiredSensor, Wiring
@@ -130,7 +130,7 @@ class ActuatorResult(StepResult):
     """One muscle at one body pressure."""
 
     readings: BendReadings  # what was fitted
-    zone: ZoneMap  # the maps, ready for the configuration
+    muscle_map: MuscleMap  # the maps, ready for the configuration
     g_se: float  # largest standard error of g, both branches, up to highest_psi, 1/cm
     highest_psi: float  # largest pressure that was measured
     full_scale: float  # g at that pressure, 1/cm
@@ -162,15 +162,15 @@ class ActuatorResult(StepResult):
         actuator = config.muscles[config.muscle_number(self.readings.muscle)]
         # A body that does not grow may have no pressure.
         apart_psi = [
-            abs(self.zone.body_pressure_psi - zone.pressure_psi) for zone in config.body.zones
+            abs(self.muscle_map.body_pressure_psi - zone.pressure_psi) for zone in config.body.zones
         ]
         zone = int(np.argmin(apart_psi))
         if apart_psi[zone] > SAME_PRESSURE * config.body.zones[zone].pressure_psi:
             raise DataError(
-                f"no zone has a body pressure of {self.zone.body_pressure_psi:g} psi",
+                f"no zone has a body pressure of {self.muscle_map.body_pressure_psi:g} psi",
                 "correct body.pressure in robot.toml",
             )
-        actuator.maps[zone] = self.zone
+        actuator.maps[zone] = self.muscle_map
         if self.ends_early(config):
             actuator.max_pressure_psi = round(self.highest_psi, 2)
         actuator.offset_se = self.offset_se
@@ -232,9 +232,9 @@ def _map_values(p: Array, log_amplitude: Array, log_scale: Array, offset: Array)
 
 def guided(bench: Bench) -> ActuatorResults:
     """Measure and fit maps and lags of all measurable muscles at the planned body pressures."""
-    config = bench.config
+    config, wiring = bench.config, bench.wiring
     zones = bench.plan.zones or tuple(range(len(config.body.zones)))
-    unmeasured = [m for m in config.muscles if not m.side and not _healthy_sensors(config, m)]
+    unmeasured = [m for m in config.muscles if not m.side and not _healthy_sensors(wiring, m)]
     measured = [m for m in config.muscles if m not in unmeasured]
     if not measured:
         raise DataError(*_unmeasured_text(unmeasured[0]).split("; "))
@@ -250,34 +250,32 @@ def guided(bench: Bench) -> ActuatorResults:
             if r["zone"] == zone
             and (r.get("side") == muscle.side if muscle.side else r.get("muscle") == muscle.name)
         ]  # fmt: skip
-        result = fit_actuator(readings_of(muscle_rows, config, muscle, zone))
+        result = fit_actuator(readings_of(muscle_rows, wiring, muscle, zone))
         record = ramps[muscle.name]
         if result.verdict.good and zone == zones[-1] and record is not None:
-            lag = fit_lag(*record, result.zone, muscle.reversal_psi)
+            lag = fit_lag(*record, result.muscle_map, muscle.reversal_psi)
             if lag.inflate_se_s < _LAG_SE_S:
                 result = replace(result, lag=lag)
         fits.append(result)
     return together(fits, unmeasured)
 
 
-def _healthy_sensors(config: RobotConfig, muscle: Muscle) -> list[WiredSensor]:
-    return [wired for wired in Wiring.of(config).sensors_reading(muscle) if wired.sound]
+def _healthy_sensors(wiring: Wiring, muscle: Muscle) -> list[WiredSensor]:
+    return [wired for wired in wiring.sensors_reading(muscle) if wired.sound]
 
 
-def readings_of(
-    rows: Sequence[Row], config: RobotConfig, muscle: Muscle, zone: int
-) -> BendReadings:
+def readings_of(rows: Sequence[Row], wiring: Wiring, muscle: Muscle, zone: int) -> BendReadings:
     """Bends of one muscle at one body pressure, by camera if it can see them, else by sensors."""
     if muscle.side:
         k = SIGN[muscle.side] * column(rows, "k")
         error = np.nan_to_num(column(rows, "k_se"), nan=_PICTURE_SE)
         scale_se, sensors = CAMERA_SCALE_SE, 0
     else:
-        sound = _healthy_sensors(config, muscle)
+        sound = _healthy_sensors(wiring, muscle)
         k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), sound)
         sensors = len(sound)
     branch, trial = tuple(r["branch"] for r in rows), np.array([r["trial"] for r in rows], np.int64)
-    psi, body_psi = column(rows, "psi"), config.body.zones[zone].pressure_psi
+    psi, body_psi = column(rows, "psi"), wiring.config.body.zones[zone].pressure_psi
     return BendReadings(muscle.name, body_psi, psi, k, error, branch, trial, scale_se, sensors)
 
 
@@ -341,8 +339,8 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     bend = float(np.median(k[finite & (p > 0.5 * highest)]))
     if bend < _LEAST_BEND:
         verdict = Verdict(False, _wrong_bend_reason(readings, bend), tuple(notes))
-        zone = ZoneMap(body_pressure_psi=readings.body_pressure_psi)
-        return ActuatorResult(readings, zone, np.inf, highest, 0.0, np.inf, finite, verdict)
+        muscle_map = MuscleMap(body_pressure_psi=readings.body_pressure_psi)
+        return ActuatorResult(readings, muscle_map, np.inf, highest, 0.0, np.inf, finite, verdict)
     branches = [b for b in BRANCHES if b in np.array(readings.branch)[finite]]
     branch = np.array([branches.index(b) if b in branches else 0 for b in readings.branch])
     trials = np.unique(readings.trial[finite])
@@ -416,13 +414,13 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
         g_se / max(full_scale, 1e-9),
         full_scale,
     )
-    zone = ZoneMap(
+    muscle_map = MuscleMap(
         body_pressure_psi=readings.body_pressure_psi, scale_se=scale_se, inflate=inflate,
         deflate=deflate,
     )  # fmt: skip
     offset_se = float(np.hypot(max(spread, _DAYS_SE), np.hypot(shape_se, camera_se)))
     verdict = Verdict(good, reason, tuple(notes))
-    return ActuatorResult(readings, zone, g_se, highest, full_scale, offset_se, used, verdict)
+    return ActuatorResult(readings, muscle_map, g_se, highest, full_scale, offset_se, used, verdict)
 
 
 def _maps(

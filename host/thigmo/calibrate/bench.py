@@ -150,7 +150,7 @@ class Bench:
     @property
     def wiring(self) -> Wiring:
         """Where the robot's sensors hang, with the constants measured so far."""
-        return Wiring.of(self.config)
+        return Wiring.laid_out(self.config)
 
     def configure(self) -> None:
         """Give the robot the session's constants, once."""

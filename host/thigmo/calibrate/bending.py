@@ -73,7 +73,7 @@ def fit_bending(
         raise DataError("a force_n is 0 or missing", "give newtons: kg times 9.81")
     if not ((arc_cm > 0) & (arc_cm <= config.body.length_cm)).all():
         raise DataError("a force_arc_cm is off the body", "give where it acts, from the base")
-    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction", "healthy")
+    names = ("center_cm", "span_cm", "reading_se", "scale_se", "bend_sign", "healthy")
     center, span, noise, gain, valid_sign, healthy = constants_of(config, *names)
     # If the base folds, the first sensors do not show its turn.
     far = (healthy > 0) & (center - span / 2 >= config.body.diameter_cm)

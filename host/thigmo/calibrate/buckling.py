@@ -44,7 +44,7 @@ class BucklingResult(StepResult):
     verdict: Verdict  # in words
 
     def write(self, config: RobotConfig) -> None:
-        """Put in the critical curvature, its error and its body pressure."""
+        """Store the critical curvature, its error and its body pressure in the configuration."""
         config.body.critical_curvature = self.critical_curvature
         config.body.critical_curvature_se = self.critical_se
         config.body.critical_pressure_psi = self.body_pressure_psi
@@ -123,7 +123,7 @@ def _in_fold(config: RobotConfig) -> Mask:
 
 
 def _require_fold(result: BucklingResult, pushed: Array, config: RobotConfig) -> BucklingResult:
-    """The result; not good if nothing shows that the base folded.
+    """The result, marked as not good unless something shows that the base folded.
 
     `pushed` (t,) are the moments to which the pushes would bend a base that does not fold, 1/cm;
     nan if unknown. Where no sensor reads the fold, the moment must not grow with them.
@@ -169,7 +169,7 @@ def fit_buckling(
     Raises:
         DataError: the columns are not this robot's, or too few sensors can read either side.
     """
-    names = ("center_cm", "span_cm", "reading_se", "scale_se", "valid_direction")
+    names = ("center_cm", "span_cm", "reading_se", "scale_se", "bend_sign")
     center, span, noise, gain, valid_sign = constants_of(config, *names)
     if curvature.shape[1] != len(center):
         shapes = f"{curvature.shape[1]} columns for {len(center)} sensors"
@@ -251,7 +251,7 @@ def _readable_signs(config: RobotConfig, length_cm: float) -> list[int]:
 
     Raises DataError if there are none.
     """
-    (valid_sign,) = constants_of(config, "valid_direction")
+    (valid_sign,) = constants_of(config, "bend_sign")
     beyond_fold = _beyond_fold(config, length_cm)
     signs = [
         sign

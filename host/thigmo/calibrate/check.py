@@ -87,7 +87,7 @@ def _bend(bench: Bench) -> float:
 
 
 def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
-    """Judge a check's recordings. Raises DataError if they are of another robot's sensors."""
+    """Judge a check's recordings. Raises DataError if the sensors are not this robot's."""
     sensors = sensors_of(config)
     if readings.rest_ohm.shape[1] != len(sensors):
         shapes = f"{readings.rest_ohm.shape[1]} columns for {len(sensors)} sensors"
@@ -103,12 +103,12 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
         tight = f"{config.muscle(side).name} muscle's tightness"
         findings.append(Finding(tight, *_judge_hold(readings.hold_psi[side])))
     for name, (bend, hold) in readings.out_of_plane.items():
-        zone = config.muscles[config.muscle_number(name)].maps[readings.zone]
-        expected = zone.inflate.curvature(readings.bend_psi)
+        muscle_map = config.muscles[config.muscle_number(name)].maps[readings.zone]
+        expected = muscle_map.inflate.curvature(readings.bend_psi)
         if not np.isfinite(bend):
             none = "is not calibrated: no healthy sensor reads its bend, out of the plane"
             findings.append(Finding(f"{name} muscle", "warning", none))
-        elif not zone.calibrated:
+        elif not muscle_map.calibrated:
             text = f"is not calibrated; it bends by {bend:+.4f} 1/cm"
             findings.append(Finding(f"{name} muscle", "warning", text))
         else:

@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 from thigmo.config import RobotConfig
-
-# Kinds of sensors whose step bends the body by its muscles, or takes a file.
-_BENT_BY_MUSCLES = ("heading", "fibre")
+from thigmo.sensors import KINDS
 
 
 def commands_of(config: RobotConfig, robot: str) -> list[str]:
@@ -19,6 +17,8 @@ def commands_of(config: RobotConfig, robot: str) -> list[str]:
     if not (config.muscles and config.board_sensors):
         kinds = {sensor.kind for sensor in config.sensors}
         commands += [
-            f"thigmo calibrate {kind} --csv FILE" for kind in _BENT_BY_MUSCLES if kind in kinds
+            f"thigmo calibrate {name} --csv FILE"
+            for name, kind in KINDS.items()
+            if kind.calibrated_by_file and name in kinds
         ]
     return commands

@@ -63,9 +63,10 @@ class Drive(AbstractContextManager["Drive"]):
 
 
 def pull_duty(rows: Sequence[Row], counts_per_cm: float, config: RobotConfig) -> list[float | None]:
-    """Duty (of 800) by which growth needs less than the motor's data say, for each body pressure.
+    """Duty (of 800) that growth needs less than by the motor's data sheet, for each body pressure.
 
-    The least one measured, so that a sound encoder is never found faulty; None where there is none.
+    The smallest of the measured differences, so that a sound encoder is never called faulty. None
+    at a body pressure that was not measured.
     """
     saved: list[list[float]] = [[] for _ in config.body.zones]
     for row in rows:

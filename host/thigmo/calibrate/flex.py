@@ -26,7 +26,7 @@ from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
     Column,
     OrderedFit,
-    directions_of,
+    bend_signs_of,
     dropouts,
     nonlinearities,
     reml_lines,
@@ -40,7 +40,7 @@ from thigmo.errors import DataError
 from thigmo.record.table import Table
 
 _REPORTED = 0.02  # relative error of the scale by one-way bends from which it is reported
-Direction = Literal[-1, 0, 1]
+BendSign = Literal[-1, 0, 1]
 
 _LEAST_NOISE = 5e-5  # 1/cm
 # Bending goes back where it falls by this share of the largest bend. So many such rows at least
@@ -62,7 +62,7 @@ class FlexFit:
     sweep_se: float = np.nan  # relative standard deviation of the scale between sweeps
     zero_ohm: float = np.nan  # resistance of the straight sensor
     zero_se_ohm: float = np.nan  # its standard error
-    valid_direction: Direction = 0  # sign of the bends that it can read; 0 = both
+    bend_sign: BendSign = 0  # sign of the bends that it can read; 0 = both
     noise: float = np.nan  # standard deviation of a reading about the fit, 1/cm
     lasting: float = np.nan  # share of that variance that neighbouring rows share
     # deviation from a straight line at the largest bend, as a share of the response
@@ -94,7 +94,7 @@ class FlexResult(StepResult):
         return {**super().as_data(), "rows": len(good), "rows_left_out": left_out}
 
     def write(self, config: RobotConfig) -> None:
-        """Put in scales, zeros, directions, noise and health.
+        """Put in scales, zeros, signs of the bends, noise and health.
 
         A sensor found dead keeps its old constants and is marked unhealthy.
         """
@@ -112,7 +112,7 @@ class FlexResult(StepResult):
             # A single reading has all three errors: the fit's, this sweep's gain and the curve's.
             sensor.scale_se = float(np.hypot(np.hypot(fit.scale_se, fit.sweep_se), fit.misfit))
             sensor.zero_ohm = fit.zero_ohm
-            sensor.valid_direction = fit.valid_direction
+            sensor.bend_sign = fit.bend_sign
             # Readings are later used without a model of the loop, so it is part of their error. A
             # few rows measure a loop poorly, so it counts as at least as large as the usual one.
             # Bends do not show how a zero drifts after eversion, so an error that robot.toml states
@@ -166,8 +166,8 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
                 f"{name} stands at {constants} kOhm in {share:.0%} of its rows, however it is "
                 "bent: those rows are omitted; look for a loose wire"
             )
-    directions = directions_of(rows.columns(), rows.sides)
-    rows.usable &= (directions == 0) | (directions * rows.model >= -1e-12)
+    bend_signs = bend_signs_of(rows.columns(), rows.sides)
+    rows.usable &= (bend_signs == 0) | (bend_signs * rows.model >= -1e-12)
     rows.find_loop_width()
     judge_rows(rows)
     columns = rows.columns()
@@ -186,8 +186,8 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
         if reason or line is None:
             fits.append(FlexFit(name, False, reason, used))
         else:
-            direction = cast(Direction, int(directions[number]))
-            fits.append(_sensor(name, column, line, curves[number], direction))
+            bend_sign = cast(BendSign, int(bend_signs[number]))
+            fits.append(_sensor(name, column, line, curves[number], bend_sign))
     verdict = _verdict(
         [fit for fit, everted in zip(fits, rows.on_body, strict=True) if everted], rows
     )
@@ -215,7 +215,7 @@ def _sensor(
     column: Column,
     line: OrderedFit,
     curve: tuple[float, float, float],
-    direction: Direction,
+    bend_sign: BendSign,
 ) -> FlexFit:
     """The fit of a working sensor, with nonlinearity, hysteresis and noise."""
     used = int(line.used.sum())
@@ -235,7 +235,7 @@ def _sensor(
     return FlexFit(
         name, se <= 0.1, reason, used, int((column.finite & ~line.used).sum()),
         scale_per_ohm=scale, scale_se=se, sweep_se=line.sweep_gain,
-        zero_ohm=float(line.coefficients[0]), zero_se_ohm=line.se(0), valid_direction=direction,
+        zero_ohm=float(line.coefficients[0]), zero_se_ohm=line.se(0), bend_sign=bend_sign,
         noise=max(spread * abs(scale), _LEAST_NOISE), lasting=line.lasting,
         nonlinearity=bend, misfit=misfit if curves else 0.0,
         hysteresis=float(line.coefficients[2] * scale), hysteresis_se=line.se(2) * abs(scale),

@@ -267,7 +267,7 @@ def working(fit: LinearFit) -> bool:
     return bool(abs(fit.coefficients[1]) > 5 * fit.se(1))
 
 
-def directions_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[np.int64]:
+def bend_signs_of(columns: Sequence[Column], sides: Sequence[Side]) -> NDArray[np.int64]:
     """(m,) sign of the bends that each sensor can read; 0 = both.
 
     A line with a kink at zero gives the ratio of a sensor's slopes on both sides. The sensors of a

@@ -58,7 +58,7 @@ class HeadingResult(StepResult):
         return data
 
     def write(self, config: RobotConfig) -> None:
-        """Put in scales, zeros, drift and health; a dead span keeps its old constants."""
+        """Store scales, zeros, drift and health; a dead span keeps its old constants."""
         sensors = sensors_of(config)
         for fit in self.sensors:
             sensor = sensors[fit.name]
@@ -115,7 +115,7 @@ def fit_heading(t_s: Array, curvature: Array, ohm: Array, config: RobotConfig) -
 
 
 def _fit(name: str, t_s: Array, true_turn: Array, turn: Array) -> HeadingFit:
-    """The fit of one span: `turn` (n,) is the turn by the IMUs, `bent` (n,) the true one, rad."""
+    """Fit one span to turns by its IMUs and by the camera: `turn` and `true_turn` (n,), rad."""
     if len(turn) < _FEWEST:
         return HeadingFit(name, False, "is not read: an IMU of it does not answer")
     elapsed_s = t_s - t_s.mean()

@@ -20,7 +20,7 @@ from thigmo.calibrate.bench import Bench, Row
 from thigmo.calibrate.columns import Array
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.regression import correlation_factor
-from thigmo.config import Muscle, TanhMap, ZoneMap
+from thigmo.config import Muscle, MuscleMap, TanhMap
 from thigmo.errors import DataError
 
 # Durations of ramps up and down, for a lag of 0.2..0.4 s. An error of pressure or map looks like a
@@ -92,7 +92,7 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
 
 
 def _muscle_pressure(psi: Array, rising_s: float, falling_s: float) -> Array:
-    """(n,) pressure that bends the body, every `_STEP_S`; the time constant is by direction."""
+    """Pressure (n,) that bends the body, every `_STEP_S`; each direction has its time constant."""
     rising, falling = (1 - np.exp(-_STEP_S / lag) for lag in (rising_s, falling_s))
     lagged = np.array(psi, float)
     state = float(lagged[0])
@@ -133,7 +133,7 @@ def fit_lag(
     t_s: Array,
     pressure_psi: Array,
     curvature: Array,
-    zone: ZoneMap,
+    muscle_map: MuscleMap,
     reversal_psi: float = 1.0,
 ) -> Lag:
     """Lags of both directions from the ramps that `ramp` records.
@@ -143,7 +143,7 @@ def fit_lag(
         pressure_psi: (n,) measured pressure.
         curvature: (n,) curvature towards the muscle, 1/cm, as late as the base sensor's. Its gain,
             offset and loop are fitted, so only its timing counts.
-        zone: the muscle's maps.
+        muscle_map: its maps at the body pressure.
         reversal_psi: change of pressure that switches the muscle to its other branch.
     """
     rows = np.array([t_s, pressure_psi, curvature])
@@ -159,10 +159,10 @@ def fit_lag(
     def residuals(x: Array) -> Array:
         acting_psi = _muscle_pressure(np.interp(fine - x[4], fine, fine_psi), x[0], x[1])
         down = _deflating_share(acting_psi, reversal_psi)
-        up, back = _curve(zone.inflate, acting_psi), _curve(zone.deflate, acting_psi)
+        up, back = _curve(muscle_map.inflate, acting_psi), _curve(muscle_map.deflate, acting_psi)
         g = np.interp(t, fine, _body_response(down * back + (1 - down) * up, x[2], x[3]))
         loop = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
-        slope = np.interp(t, fine, _curve(zone.inflate, acting_psi + 0.1) - up)
+        slope = np.interp(t, fine, _curve(muscle_map.inflate, acting_psi + 0.1) - up)
         design = np.column_stack([g, np.ones(len(g)), loop, slope])
         return np.asarray(k - design @ np.linalg.lstsq(design, k, rcond=None)[0])
 

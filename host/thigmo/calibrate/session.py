@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from thigmo.calibrate.verdict import StepResult, plain
-from thigmo.config import RobotConfig, Sensor, ZoneMap
+from thigmo.config import MuscleMap, RobotConfig, Sensor
 from thigmo.errors import DataError
 from thigmo.files import DATA_BYTES, read_file, write_whole
 from thigmo.sensors import BoardSensor
@@ -135,7 +135,7 @@ def blank(config: RobotConfig) -> RobotConfig:
         muscle.lag_s = defaults.muscles[0].lag_s
         muscle.offset_se = defaults.muscles[0].offset_se
         muscle.maps = [
-            ZoneMap(body_pressure_psi=zone.pressure_psi) for zone in blank_config.body.zones
+            MuscleMap(body_pressure_psi=zone.pressure_psi) for zone in blank_config.body.zones
         ]
     if blank_config.body.folds:
         blank_config.body.critical_curvature = defaults.body.critical_curvature

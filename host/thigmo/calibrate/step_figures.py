@@ -88,8 +88,8 @@ def _flex(result: FlexResult, path: Path) -> None:
         axes.plot(k[~good], ohm[~good], "x", color=RED, ms=5, label="omitted")
         if fit.healthy:
             line = np.array([np.nanmin(k), np.nanmax(k)])
-            if fit.valid_direction:
-                line[int(fit.valid_direction < 0)] = 0.0
+            if fit.bend_sign:
+                line[int(fit.bend_sign < 0)] = 0.0
             axes.plot(line, (fit.zero_ohm + line / fit.scale_per_ohm) / 1000, "k-", lw=1)
         values = ohm[np.isfinite(ohm) & good]
         if len(values):
@@ -113,7 +113,7 @@ def _actuator(result: ActuatorResult, path: Path) -> None:
     labels = "muscle pressure (psi)", "free curvature towards it (1/cm)"
     with _panel(path, result.verdict, *labels, size=(7, 4.5)) as axes:
         for name, mark, color in (("inflate", "^", BLUE), ("deflate", "v", ORANGE)):
-            pick, curve = (branch == name) & used, getattr(result.zone, name)
+            pick, curve = (branch == name) & used, getattr(result.muscle_map, name)
             axes.plot(r.pressure_psi[pick], r.curvature[pick], mark, color=color, ms=4, label=name)
             axes.plot(grid, [curve.curvature(p) for p in grid], "-", color=color, lw=1)
         axes.plot(r.pressure_psi[~used], r.curvature[~used], "x", color=RED, label="omitted")

@@ -168,7 +168,9 @@ def clear(robot: RobotOption, by_page: ByPageOption = False, as_json: JsonOption
 
 def retract(
     robot: RobotOption,
-    to: Annotated[float, typer.Option(help="Everted length to keep, cm.", min=0.0)] = 0.0,
+    kept_cm: Annotated[
+        float, typer.Option("--to", help="Everted length to keep, cm.", min=0.0)
+    ] = 0.0,
     length: Annotated[
         float | None,
         typer.Option(
@@ -195,5 +197,5 @@ def retract(
         else:
             machine.known_length_cm()
         machine.arm()
-        retraction = machine.retract_to(to)
+        retraction = machine.retract_to(kept_cm)
     show(as_json, asdict(retraction), retraction.words)

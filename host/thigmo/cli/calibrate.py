@@ -152,7 +152,6 @@ def calibrate(
         raise DataError("no robot is named", "give --robot URL, or --csv FILE")
     from thigmo.calibrate.bench import Bench, Plan
     from thigmo.robot import connect
-    from thigmo.wiring import Wiring
 
     def say(text: str) -> None:
         if not as_json:
@@ -180,7 +179,7 @@ def calibrate(
             say(f"next: correct what is BAD, and run `thigmo calibrate {bad[0]} --robot {robot}`")
         raise typer.Exit(2)
     if step == "all":
-        command = "feel" if Wiring.of(session.config).unexplorable else "explore"
+        command = "feel" if bench.wiring.unexplorable else "explore"
         say(f"next: `thigmo {command} --robot {robot} --config {session.robot_file}`")
     else:
         say(f"constants so far: {session.robot_file}")

@@ -72,6 +72,10 @@ def localize(
         str | None,
         typer.Option(help="Whether something holds the end: yes, no, or the prior odds of that."),
     ] = None,
+    end_face_odds: Annotated[
+        float | None,
+        typer.Option(help="Prior odds of a contact on the end's face; 0 rules it out."),
+    ] = None,
     stiffness: Annotated[
         str | None,
         typer.Option(
@@ -165,6 +169,7 @@ def localize(
         "critical_curvature": critical_curvature,
         "tube_radius": tube_radius,
         "held_end": _held(held_end),
+        "end_face_odds": end_face_odds,
         "stiffness": _numbers(stiffness, "--stiffness", "EI,ERROR such as 500,0.1"),
         "twist": twist,
         "weight": _numbers(weight, "--weight", "three numbers, such as 0,-0.5,0"),
@@ -231,7 +236,7 @@ def _calibrated(
     """
     import numpy as np
 
-    from thigmo.config import FibreSensor, RobotConfig, Sensor
+    from thigmo.config import RobotConfig, Sensor
     from thigmo.errors import DataError
     from thigmo.mechanics import rest_mean
     from thigmo.reading_errors import errors_of
@@ -256,7 +261,7 @@ def _calibrated(
         sensors.append(near)
     zone = robot.body.zone_at(length_cm)
     if table.strain is not None:
-        if not all(isinstance(sensor, FibreSensor) for sensor in sensors):
+        if any(sensor.on_board for sensor in sensors):
             raise DataError(
                 "strains, but not only of a fibre", f"correct {path}, or give curvatures"
             )

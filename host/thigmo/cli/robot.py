@@ -60,7 +60,7 @@ def new(
     written, said = [str(out / "robot.toml")], []
     if beyond := beyond_board(config):
         said = [filled(f"no scene: {problem}; {cure}") for problem, cure in beyond]
-    elif refused := Wiring.of(config).unexplorable:
+    elif refused := Wiring.laid_out(config).unexplorable:
         said = [filled(f"explore does not work with it: {refused.problem}; {refused.cure}")]
     else:
         room = room_for(config, seed)

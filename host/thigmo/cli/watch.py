@@ -109,14 +109,14 @@ def watch(
 
 
 def expected_efforts(config: RobotConfig, time_s: float | None) -> list[dict[str, Any]]:
-    """What each effort, or a budget of robot time (s), is expected to take and to give."""
+    """Expected time and accuracy of each effort, or of a budget of robot time (s)."""
     from thigmo.exploration import expectations
 
     return [asdict(expected) for expected in expectations(config, time_s)]
 
 
 def parameters() -> tuple[Parameter, ...]:
-    """What `thigmo explore` takes that an operator changes, with its own help."""
+    """Options of `thigmo explore` that an operator changes on the page, with the command's help."""
     from inspect import signature
     from typing import get_args
 
@@ -137,7 +137,7 @@ def parameters() -> tuple[Parameter, ...]:
 
 
 def finished_run(target: str | None) -> Path | None:
-    """The run folder that is meant; None for a robot's address, and for whatever run is under way.
+    """The folder of a finished run; None if the target is a robot's address or a run under way.
 
     Raises RunFolderError if there is no such folder and no such port.
     """
@@ -184,9 +184,9 @@ def _draw_code(address: str) -> None:
 
 
 def _open_browser(afterwards: ExitStack, address: str) -> None:
-    """Open the page, where there is a browser; in a process of its own, for some never return.
+    """Open the page in a browser, if there is one, from a process of its own: some never return.
 
-    What it needs is removed `afterwards`.
+    The file that leads to the page is removed when `afterwards` closes.
     """
     import subprocess
 

@@ -24,10 +24,10 @@ from thigmo.config import (
     FlexSensor,
     HeadingSensor,
     Muscle,
+    MuscleMap,
     RobotConfig,
     Sensor,
     TanhMap,
-    ZoneMap,
     side_at,
 )
 from thigmo.errors import ConfigError
@@ -147,7 +147,7 @@ def _flex(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
         span_cm=min(_SPAN_CM, pitch_cm - _GAP_CM),
         # Resistance rises on the outside of a bend.
         scale_per_ohm=_outside(lies_deg) * FlexSensor(center_cm=1.0).scale_per_ohm,
-        valid_direction=_outside(lies_deg),
+        bend_sign=_outside(lies_deg),
     )
     return [sensor]
 
@@ -246,9 +246,9 @@ def _muscle(towards_deg: float, body: Body) -> Muscle:
     )
 
 
-def _map(body_psi: float, share: float, scales_psi: Sequence[float]) -> ZoneMap:
+def _map(body_psi: float, share: float, scales_psi: Sequence[float]) -> MuscleMap:
     amplitude = share * float(np.interp(body_psi, _MAPPED_PSI, _AMPLITUDE))
     inflate, deflate = (
         TanhMap(amplitude=round(amplitude, 5), scale_psi=scale) for scale in scales_psi
     )
-    return ZoneMap(body_pressure_psi=body_psi, inflate=inflate, deflate=deflate)
+    return MuscleMap(body_pressure_psi=body_psi, inflate=inflate, deflate=deflate)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.contact_status import WIDTH_SHARE
 from thigmo.display.axes import INK, MUTED, small
-from thigmo.localization.priors import WIDTH_SHARE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

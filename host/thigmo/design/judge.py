@@ -22,21 +22,19 @@ from thigmo.config import (
     SIGN,
     BoardSensor,
     Body,
-    FlexSensor,
-    HeadingSensor,
     Muscle,
     RobotConfig,
     Sensor,
     Side,
     Spool,
 )
+from thigmo.contact_status import WIDTH_SHARE
 from thigmo.design.bounds import FEWEST_READINGS, arc_bounds
 from thigmo.design.finding import Finding
 from thigmo.design.units import unit_questions
 from thigmo.errors import ConfigError
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.link.protocol import PARAMETERS, parameters
-from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.mechanics import critical_moment, phi, rest_turn, traced
 from thigmo.robot import TRIGGER_PER_CM
 from thigmo.robot.configuration import out_of_range, parameter_settings
@@ -69,7 +67,7 @@ Floats = npt.NDArray[np.float64]
 def judge(config: RobotConfig) -> list[Finding]:
     """All findings: first whether it explores, then the board's."""
     limitations = beyond_board(config)
-    wiring = None if limitations else Wiring.of(config)  # findings of the inputs need one
+    wiring = None if limitations else Wiring.laid_out(config)  # findings of the inputs need one
     findings = []
     if wiring and (limitation := wiring.unexplorable):
         text = f"{limitation.problem}: `thigmo explore` refuses; {limitation.cure}"
@@ -295,7 +293,7 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
     part = f"sweep of {muscle.name}"
     sign = SIGN[side]
     sensors = config.sensors_for(side)
-    column = [s for s in sensors if s.healthy and s.valid_direction in (0, sign)]
+    column = [s for s in sensors if s.healthy and s.bend_sign in (0, sign)]
     wired = any(isinstance(sensor, BoardSensor) for sensor in sensors)
     bases = wiring.trigger_sensors(muscle)
     if not column or (wired and not bases):
@@ -383,10 +381,7 @@ def _cure(
         if added[place] >= _LOCALIZED_LEAST:
             return f"one more sensor at {place:.0f} cm would make it {added[place]:.0f} %"
     for factor in (2, 3, 5, 10, 20):
-        quieter = [
-            sensor.model_copy(update={"noise": sensor.noise / factor, **_zero(sensor, factor)})
-            for sensor in column
-        ]
+        quieter = [sensor.quieter(factor) for sensor in column]
         if share(quieter) >= _LOCALIZED_LEAST:
             worst_se = max(sensor.reading_se for sensor in quieter)
             return (
@@ -394,11 +389,6 @@ def _cure(
                 f"zero a {_ORDINALS[factor]} of what they are) would make it {share(quieter):.0f} %"
             )
     return "neither one more sensor nor less noise is enough; the base folds, or bends too little"
-
-
-def _zero(sensor: Sensor, factor: float) -> dict[str, float]:
-    """A flex sensor's zero error divided by a factor; empty for kinds that state none."""
-    return {"zero_se": sensor.zero_se / factor} if isinstance(sensor, FlexSensor) else {}
 
 
 def _localized(
@@ -426,13 +416,12 @@ def _localized(
 
 
 def _resolution(config: RobotConfig) -> Iterator[Finding]:
-    """Flex sensors whose bends the converter resolves too coarsely: 1024 counts are the supply."""
+    """Sensors whose bends the converter resolves too coarsely: 1024 counts are the supply."""
     board, coarse = config.board, {}
-    for name, sensor in _flex_sensors(config):
-        total = board.divider_ohm + sensor.zero_ohm
-        per_count = abs(sensor.scale_per_ohm) * total**2 / (_COUNTS * board.divider_ohm)
+    for name, sensor in _healthy_on_board(config):
+        per_count = sensor.count_curvature(board.divider_ohm, _COUNTS)
         if per_count > TRIGGER_PER_CM:
-            coarse[name] = per_count, sensor.zero_ohm
+            coarse[name] = per_count, sensor.raw_zero
     if coarse:
         name, (per_count, zero_ohm) = max(coarse.items(), key=lambda item: item[1])
         suffix = f" and {len(coarse) - 1} more" if len(coarse) > 1 else ""
@@ -446,17 +435,17 @@ def _resolution(config: RobotConfig) -> Iterator[Finding]:
 
 def _signs(config: RobotConfig) -> Iterator[Finding]:
     """Sensors whose scale is likely to have the wrong sign."""
-    for name, sensor in _flex_sensors(config):
-        if sensor.scale_per_ohm * sensor.valid_direction < 0:
+    for name, sensor in _healthy_on_board(config):
+        if sensor.raw_scale * sensor.bend_sign < 0:
             text = (
                 f"its resistance falls in the only bends that it answers to: scale_per_ohm = "
-                f"{sensor.scale_per_ohm:g} and valid_direction = {sensor.valid_direction} differ "
+                f"{sensor.raw_scale:g} and bend_sign = {sensor.bend_sign} differ "
                 "in sign; correct one of them, or measure both (`thigmo calibrate flex`)"
             )
             yield Finding(f"sensor {name}", "warning", text)
     scales: dict[tuple[str, float], list[float]] = {}
     for sensor_of_column in config.sensors:
-        if not sensor_of_column.valid_direction:
+        if not sensor_of_column.bend_sign:
             key = sensor_of_column.kind, sensor_of_column.direction_deg
             scales.setdefault(key, []).append(sensor_of_column.raw_scale)
     for (kind, direction_deg), column in scales.items():
@@ -470,16 +459,16 @@ def _signs(config: RobotConfig) -> Iterator[Finding]:
             yield Finding(f"column {config.column_name(direction_deg)}", "warning", text)
 
 
-def _flex_sensors(config: RobotConfig) -> list[tuple[str, FlexSensor]]:
-    """The healthy flex sensors, by name."""
+def _healthy_on_board(config: RobotConfig) -> list[tuple[str, BoardSensor]]:
+    """The healthy sensors that the board reads, by name."""
     count_by_direction: dict[float, int] = {}
-    flex = []
+    healthy = []
     for sensor in config.board_sensors:
         direction_deg = sensor.direction_deg
         k = count_by_direction[direction_deg] = count_by_direction.get(direction_deg, -1) + 1
-        if isinstance(sensor, FlexSensor) and sensor.healthy:
-            flex.append((f"{config.column_name(direction_deg)} {k}", sensor))
-    return flex
+        if sensor.healthy:
+            healthy.append((f"{config.column_name(direction_deg)} {k}", sensor))
+    return healthy
 
 
 def _rates(wiring: Wiring) -> Iterator[Finding]:
@@ -498,7 +487,7 @@ def _rates(wiring: Wiring) -> Iterator[Finding]:
 
 def _imus(config: RobotConfig) -> Iterator[Finding]:
     """The load of the IMUs' bus, and whether the first IMU can serve the contact trigger."""
-    imus = [sensor for sensor in config.sensors if isinstance(sensor, HeadingSensor)]
+    imus = [sensor for sensor in config.sensors if sensor.imu_inputs]
     if not imus:
         return
     imu_ms = 1e3 * IMU_BITS / _BUS_HZ

@@ -16,7 +16,6 @@ from thigmo.emulator.board import EmulatedBoard
 from thigmo.emulator.plant import OPEN_COUNT, SHORT_COUNT, Plant
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.link.protocol import ResetCause
-from thigmo.wiring import Wiring
 
 _POWER_OFF_S = 1.0
 # `value` where a scene gives none. Of pressure_stuck and pressure_frozen it is the pressure there.
@@ -92,7 +91,7 @@ class FaultInjector:
         muscle = next((n for n, m in enumerate(robot.muscles) if m.side == fault.side), 0)
         flex = fault.kind.startswith("flex")
         channel = (
-            Wiring.of(robot).inputs[fault.side, fault.sensor]
+            plant.wiring.inputs[fault.side, fault.sensor]
             if flex
             else plant.pressure_channel + muscle
         )

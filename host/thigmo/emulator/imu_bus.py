@@ -12,7 +12,7 @@ from math import cos, sin
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import HeadingSensor, RobotConfig
+from thigmo.config import HeadingSensor
 from thigmo.emulator.imus import ImuString
 from thigmo.errors import ConfigError
 from thigmo.sensors import imus_of
@@ -138,13 +138,12 @@ class ImuBus:
         self.held_clocks = max(self.held_clocks - _NINE_CLOCKS, 0)
 
 
-def string_bus(config: RobotConfig, string: ImuString) -> ImuBus:
+def string_bus(wiring: Wiring, string: ImuString) -> ImuBus:
     """The bus of a robot's emulated IMUs.
 
     Raises ConfigError for an IMU without an address, and for two with the same one.
     """
-    wired = Wiring.of(config).sensors
-    heading_sensors = {n: s for n, s in enumerate(wired) if isinstance(s, HeadingSensor)}
+    heading_sensors = {n: s for n, s in enumerate(wiring.sensors) if isinstance(s, HeadingSensor)}
     chips: dict[tuple[int, int], Bno085] = {}
     _, ends = imus_of([*heading_sensors.values()])
     for row, sensor in enumerate(heading_sensors.values()):

@@ -480,6 +480,7 @@ def open_micropython(url: str, *, seed: int | None = None, realtime: bool = Fals
     board = MicroPythonBoard(used, processor=processor, large=large)
     transport = EmulatorTransport(scene, board, seed=used, realtime=realtime, name=url)
     if large:
-        board.bus = string_bus(scene.robot, transport.lockstep.plant.imus)
+        plant = transport.lockstep.plant
+        board.bus = string_bus(plant.wiring, plant.imus)
     transport.take_stops()
     return transport

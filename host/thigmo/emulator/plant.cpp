@@ -169,7 +169,7 @@ struct FlexSensor {
   // What ails all sensors.
   double loop_width, wrong_gain, wrinkle, wrinkle_start_psi, wrinkle_full_psi, fold_bend;
   // Its own.
-  double center_cm, span_cm, scale_per_ohm, zero_ohm, divider_ohm, direction, loop, creep_tau_s;
+  double center_cm, span_cm, scale_per_ohm, zero_ohm, divider_ohm, bend_sign, loop, creep_tau_s;
   double stowed, phase_1, phase_2;
 
   bool everted = false;
@@ -181,7 +181,7 @@ struct FlexSensor {
     everted = true;
     everted_at_s = at_s;
     offset = of_eversion;
-    creep = creep_size * (direction != 0.0 ? direction : 1.0);
+    creep = creep_size * (bend_sign != 0.0 ? bend_sign : 1.0);
     turn = 0.0;
   }
 
@@ -190,7 +190,7 @@ struct FlexSensor {
 
   // Ideal ADC count at a mean curvature (over the everted part), under its side's muscle.
   double count(double curvature, double length_cm, double t_s, double muscle_psi) {
-    double value = curvature * direction < 0.0 ? curvature * wrong_gain : curvature;
+    double value = curvature * bend_sign < 0.0 ? curvature * wrong_gain : curvature;
     // Dahl's model of the loop: the lag saturates after loop_width of bending.
     const double change = curvature - bent;
     bent = curvature;
@@ -215,7 +215,7 @@ struct FlexSensor {
       // In the tail, or passing through the tip's fold.
       const double out =
           std::clamp((length_cm - (center_cm - 0.5 * span_cm)) / std::max(span_cm, 1e-9), 0.0, 1.0);
-      const double sign = direction != 0.0 ? direction : 1.0;
+      const double sign = bend_sign != 0.0 ? bend_sign : 1.0;
       const double fold = sign * fold_bend * (1.0 - std::cos(2.0 * std::numbers::pi * out)) * 0.5;
       value = out * value + (1.0 - out) * stowed + fold;
     }
@@ -266,7 +266,7 @@ NB_MODULE(_plant, m) {
            nb::arg("loop_width"), nb::arg("wrong_gain"), nb::arg("wrinkle"),
            nb::arg("wrinkle_start_psi"), nb::arg("wrinkle_full_psi"), nb::arg("fold_bend"),
            nb::arg("center_cm"), nb::arg("span_cm"), nb::arg("scale_per_ohm"), nb::arg("zero_ohm"),
-           nb::arg("divider_ohm"), nb::arg("direction"), nb::arg("loop"), nb::arg("creep_tau_s"),
+           nb::arg("divider_ohm"), nb::arg("bend_sign"), nb::arg("loop"), nb::arg("creep_tau_s"),
            nb::arg("stowed"), nb::arg("phase_1"), nb::arg("phase_2"))
       .def("evert", &FlexSensor::evert)
       .def("stow", &FlexSensor::stow)

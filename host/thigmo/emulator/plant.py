@@ -88,7 +88,11 @@ class _Switch:
 
 
 class Plant:
-    """Robot and room of a scene, random by `seed` (None takes the scene's)."""
+    """Robot and room of a scene, random by `seed` (None takes the scene's).
+
+    Attributes:
+        wiring: where the robot's sensors and muscles hang.
+    """
 
     def __init__(self, scene: Scene, seed: int | None = None) -> None:
         self.scene = scene
@@ -96,8 +100,8 @@ class Plant:
         robot = scene.robot
         self._robot = robot
         self._rng = rng
-        wiring = Wiring.of(robot)
-        board = wiring.size
+        self.wiring = Wiring.laid_out(robot)
+        board = self.wiring.size
         self.pressure_channel = first = board.sensors  # of the first muscle
         self.pegs = scene.peg_list()
         # Numbers of the obstacles that still stand; only these are part of the mechanics.
@@ -172,15 +176,16 @@ class Plant:
         self._contacts = _Switch(b.contact_s, b.contact_s)
         self._brake = _Switch(b.opens_s, b.closes_s)
         self.length_cm = start_cm
-        wired = wiring.sensors
+        wired = self.wiring.sensors
         turns = {n: s for n, s in enumerate(wired) if isinstance(s, config.HeadingSensor)}
         self._turning = np.array([*turns], dtype=np.intp)  # the inputs that IMUs are read into
         self.imus = ImuString(
             scene.imu, [*turns.values()], robot.board.divider_ohm, STEP_S, rng.spawn(1)[0]
         )
-        # A thicker tube folds more gently at its tip; what does not grow has no fold there.
-        gentler = config.Body().radius_cm / robot.body.radius_cm
-        self._fold_bend = scene.flex.fold_bend * gentler if robot.body.grows else 0.0
+        # A thicker tube folds more gently at its tip, and what has been folded less creeps less;
+        # what does not grow has no fold there.
+        self._gentler = config.Body().radius_cm / robot.body.radius_cm
+        self._fold_bend = scene.flex.fold_bend * self._gentler if robot.body.grows else 0.0
         self.fibre = EmulatedFibre(
             scene.fibre, robot.gratings, STEP_S, rng.spawn(1)[0], self._fold_bend
         )
@@ -239,7 +244,7 @@ class Plant:
                 wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
                 fold_bend=self._fold_bend, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
                 scale_per_ohm=sensor.scale_per_ohm, zero_ohm=sensor.zero_ohm,
-                divider_ohm=scene.robot.board.divider_ohm, direction=sensor.valid_direction,
+                divider_ohm=scene.robot.board.divider_ohm, bend_sign=sensor.bend_sign,
                 loop=scene.noise.hysteresis * draws[i, 0], creep_tau_s=sensor.settle_tau_s,
                 stowed=f.stowed * draws[i, 1], phase_1=phases[i, 0], phase_2=phases[i, 1],
             )  # fmt: skip
@@ -563,7 +568,8 @@ class Plant:
             elif not sensor.everted:
                 offset, creep = self._rng.standard_normal(2)
                 began = -1e9 if settled else self.t_s
-                sensor.evert(began, noise.per_eversion * offset, flex.creep * abs(creep))
+                creep_bend = self._gentler * flex.creep * abs(creep)
+                sensor.evert(began, noise.per_eversion * offset, creep_bend)
 
     def _sense(self) -> None:
         analog = self.analog

@@ -118,8 +118,9 @@ class BodyDynamics(Model):
 class Flex(Model):
     """What ails every flex sensor."""
 
-    creep: NonNegative = 0.02  # 1/cm just after eversion, one sigma over sensors
-    wrong_direction_gain: NonNegative = 0.6  # response to bends against valid_direction
+    # 1/cm just after eversion, one sigma over sensors; less in a tube thicker than 3.5 cm
+    creep: NonNegative = 0.02
+    wrong_direction_gain: NonNegative = 0.6  # response to bends against bend_sign
     wrinkle: NonNegative = 0.012  # 1/cm, size of the garbage on the active side
     wrinkle_start_psi: NonNegative = 1.0
     wrinkle_full_psi: Positive = 4.0
@@ -379,10 +380,10 @@ class Scene(Model):
                 continue
             muscle = config.muscle(side)
             muscle.lag_s *= max(1 + spread.lag_error * rng.standard_normal(), 0.1)
-            for zone in muscle.maps:
+            for muscle_map in muscle.maps:
                 factor = 1 + spread.curvature_error * rng.standard_normal()
-                zone.scale_se = spread.curvature_error
-                for curve in (zone.inflate, zone.deflate):
+                muscle_map.scale_se = spread.curvature_error
+                for curve in (muscle_map.inflate, muscle_map.deflate):
                     curve.amplitude *= factor
         for grating in config.gratings:
             grating.rescale(1 + spread.gain_spread * rng.standard_normal())

@@ -1,10 +1,10 @@
 """How much robot time a run spends, and on what: the dial between seconds and centimetres.
 
 Every run grows, settles, zeroes and sweeps. What can be chosen is at which lengths it sweeps, and
-how many slower sweeps measure a contact that was felt. A plan is such a choice. Of all plans that a
-budget of robot time allows, the run takes the one that most pegs are felt and placed by, as the
-mechanics and the robot's stated errors have it (`thigmo.field.expected`). An effort is a budget, by
-name or in robot seconds. What a run leaves out, and what that costs, it says.
+how many slower sweeps measure a contact that was felt. A plan is such a choice. Of the plans that
+fit into a budget of robot time, the run takes the one by which the most pegs are expected to be
+felt and placed, given the mechanics and the errors in robot.toml (`thigmo.field.expected`). An
+effort is a budget, by name or in robot seconds. The run states what it omits and what that costs.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from itertools import combinations
 from math import inf
 from typing import NamedTuple
 
-from thigmo.config import SAME_LENGTH_CM, SIDES, RobotConfig
+from thigmo.config import SAME_LENGTH_CM, SIDES
 from thigmo.errors import DataError
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.field import ExpectedSweeps, expected_sweeps
 from thigmo.robot import rising_period_s
 from thigmo.wiring import Wiring
@@ -65,18 +65,18 @@ class Effort:
 class Planner:
     """Plans of one robot's run, within its effort."""
 
-    def __init__(self, config: RobotConfig, effort: Effort) -> None:
-        self.config, self.effort = config, effort
-        self._lengths = stage_lengths(config)
+    def __init__(self, wiring: Wiring, effort: Effort) -> None:
+        self.wiring, self.config, self.effort = wiring, wiring.config, effort
+        self._lengths = stage_lengths(wiring.config)
 
     @cached_property
     def _sides(self) -> list[ExpectedSweeps]:
-        """What sweeps towards each side would tell."""
-        blind = [muscle.name for muscle in Wiring.of(self.config).unguarded_muscles]
+        """Expected information of sweeps towards each side that the contact trigger guards."""
+        unguarded = self.wiring.unguarded_muscles
         return [
-            expected_sweeps(self.config, muscle.side, self._lengths)
+            expected_sweeps(self.wiring, muscle.side, self._lengths)
             for muscle in self.config.muscles
-            if muscle.side and muscle.name not in blind
+            if muscle.side and muscle not in unguarded
         ]
 
     @cached_property
@@ -84,7 +84,7 @@ class Planner:
         """The plan of a named effort, from the beginning of a run."""
         if self.effort.share == 1.0:
             return Plan(tuple(self._lengths), self.effort.measurements)
-        whole = Planner(self.config, EFFORTS["careful"])
+        whole = Planner(self.wiring, EFFORTS["careful"])
         needed_s = whole.expected_s(Plan(tuple(self._lengths), _MOST_MEASUREMENTS))
         left_s = self.effort.share * (_BEGINS_S + needed_s) - _BEGINS_S
         best = self._best(self._lengths, left_s)
@@ -98,11 +98,16 @@ class Planner:
         swept_cm: Sequence[float] = (),
         settles_s: float = 0.0,
     ) -> Plan:
-        """The plan from a length on by which most pegs are felt and placed.
+        """The plan, from a length on, by which the most pegs are expected to be felt and placed.
 
-        `spent_s` of a budget went to sweeps at the lengths `swept_cm`. The sensors at the base
-        settle for `settles_s` yet. A named effort is planned once, and then takes what time it
-        needs; a budget is planned anew at each stop.
+        A named effort is planned once and then takes the time that it needs. A budget is planned
+        again at each stop.
+
+        Args:
+            length_cm: everted length now.
+            spent_s: robot time of the budget that is spent.
+            swept_cm: lengths at which the run has swept.
+            settles_s: time until the sensors at the base have settled.
         """
 
         def ahead(stops: Sequence[float]) -> list[float]:
@@ -123,7 +128,7 @@ class Planner:
         swept_cm: Sequence[float] = (),
         settles_s: float = 0.0,
     ) -> Plan:
-        """Of the plans with some of these stops that the time allows, the one that tells most."""
+        """The best plan by some of these stops that fits into the time; arguments as in `plan`."""
         whole = Plan(tuple(stops), self.effort.measurements)
         if not stops or self.expected_s(whole, length_cm, settles_s) <= left_s:
             return whole
@@ -140,18 +145,18 @@ class Planner:
         return max(plans, key=lambda plan: self._worth(plan, swept_cm))
 
     def _worth(self, plan: Plan, swept_cm: Sequence[float]) -> float:
-        """Expected share of pegs that are felt, plus of those that are placed, over the sides."""
+        """Expected shares of pegs that are felt and that are placed, summed over the sides."""
         sweeps = [
             _among(swept_cm, length) + (1 + plan.measurements) * (length in plan.stops)
             for length in self._lengths
         ]
-        return sum(sum(side.told_by(sweeps, _PLACED)) for side in self._sides)
+        return sum(sum(side.felt_and_placed(sweeps, _PLACED)) for side in self._sides)
 
     def expected_s(self, plan: Plan, length_cm: float = 0.0, settles_s: float = 0.0) -> float:
         """Robot time (s) that a plan takes from a length on.
 
-        There the sensors at the base settle for `settles_s` yet. From half of the full length on a
-        contact is expected at every other stop.
+        `settles_s` is the time until the sensors at the base have settled. Beyond half of the full
+        length, a contact is expected at every other stop.
         """
         config = self.config
         speed = config.spool.max_speed_cm_s
@@ -218,7 +223,7 @@ class Planner:
         omissions += [
             f"no sweeps towards {muscle.name}, because no healthy sensor at the base responds to "
             "them, so obstacles there are not felt"
-            for muscle in Wiring.of(self.config).unguarded_muscles
+            for muscle in self.wiring.unguarded_muscles
         ]
         spare_s = self.effort.time_s - _BEGINS_S - self.expected_s(plan)
         if _SPARE_S <= spare_s < inf:
@@ -284,15 +289,15 @@ def chosen_effort(protocol: str, effort: str | None, time_s: float | None) -> Ef
     return EFFORTS[effort or "default"]
 
 
-def within(time_s: float, config: RobotConfig) -> Effort:
+def within(time_s: float, wiring: Wiring) -> Effort:
     """The effort of a budget of robot time (s).
 
     Raises DataError if it is too short for any sweep.
     """
     effort = Effort(f"{time_s:g} s", time_s=time_s)
-    planner = Planner(config, effort)
+    planner = Planner(wiring, effort)
     if not planner.plan().stops:
-        looks = [planner.expected_s(Plan((stop,), 0)) for stop in stage_lengths(config)]
+        looks = [planner.expected_s(Plan((stop,), 0)) for stop in stage_lengths(wiring.config)]
         raise DataError(
             f"{time_s:g} s of robot time is too little for a sweep",
             f"give --time {_BEGINS_S + min(looks) + 1:.0f} or more",

@@ -16,6 +16,7 @@ from math import inf
 
 from thigmo.config import RobotConfig
 from thigmo.exploration.effort import EFFORTS, Effort, Planner, within
+from thigmo.wiring import Wiring
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +68,17 @@ def expectations(config: RobotConfig, time_s: float | None = None) -> list[Expec
 
     Raises DataError if the budget is too short for any sweep.
     """
+    wiring = Wiring.laid_out(config)
     if time_s is not None:
-        return [_expected(config, within(time_s, config), _budget_rows(time_s))]
+        return [_expected(wiring, within(time_s, wiring), _budget_rows(time_s))]
     return [
-        _expected(config, effort, [row for row in dial() if row.setting == name])
+        _expected(wiring, effort, [row for row in dial() if row.setting == name])
         for name, effort in EFFORTS.items()
     ]
 
 
-def _expected(config: RobotConfig, effort: Effort, rows: Sequence[Measured]) -> Expectation:
-    planner = Planner(config, effort)
+def _expected(wiring: Wiring, effort: Effort, rows: Sequence[Measured]) -> Expectation:
+    planner = Planner(wiring, effort)
     return Expectation(
         effort.name, planner.whole_run_s(), planner.skips(), tuple(rows), effort.name == "default"
     )

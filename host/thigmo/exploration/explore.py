@@ -142,11 +142,6 @@ def explore(
         connect(url, seed=seed, operator=operator, realtime=realtime) as robot,
     ):
         used = config or robot.known_config
-        if used and (beyond := Wiring.of(used).unexplorable):
-            raise ConfigError(
-                f"an exploration is in the plane, by sensors on the board: {beyond.problem}",
-                beyond.cure,
-            )
         if used is None:
             made = Path("calibration") / "robot.toml"
             raise ConfigError(
@@ -156,9 +151,15 @@ def explore(
                 else f"give its robot.toml with --config; `thigmo calibrate all --robot {url}` "
                 "makes one",
             )
+        wiring = Wiring.laid_out(used)
+        if beyond := wiring.unexplorable:
+            raise ConfigError(
+                f"an exploration is in the plane, by sensors on the board: {beyond.problem}",
+                beyond.cure,
+            )
         if time_s is not None:
-            chosen = within(time_s, used)
-        planner = Planner(used, chosen)
+            chosen = within(time_s, wiring)
+        planner = Planner(wiring, chosen)
         document = replace(
             document,
             effort=chosen.name,
@@ -209,7 +210,7 @@ def explore(
             robot.record_fibre(log.fibre)
             robot.while_waiting(log.check)
             run = Exploration(
-                robot, used, folder, log, document, tell, planner, protocol, given, control,
+                robot, wiring, folder, log, document, tell, planner, protocol, given, control,
                 past.knowledge if past else None,
             )  # fmt: skip
             _walk(run)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import cos, hypot, radians
+from math import cos, radians
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from thigmo.mechanics import rest_mean
 from thigmo.reading_errors import errors_of
 from thigmo.robot import Robot
 from thigmo.robot.curvature import Floats
-from thigmo.sensors import FlexSensor
 
 Ints = npt.NDArray[np.intp]
 
@@ -114,8 +113,7 @@ def _by_board(robot: Robot, muscle: Muscle | None) -> Feeling:
         share = 0.0 if muscle is None else _share(sensor, muscle)
         if muscle is not None and sensor.wrinkles and _under(sensor, muscle):
             continue
-        if isinstance(sensor, FlexSensor):
-            sensor, curvature = _straightened(sensor, curvature, _at_rest(config, sensor))
+        sensor, curvature = sensor.straightened(curvature, _at_rest(config, sensor))
         sensors.append(sensor)
         curvatures.append(curvature)
         shares.append(share)
@@ -161,7 +159,7 @@ def _localized(
 
 
 def _somewhere(result: LocalizeResult, length_cm: float) -> LocalizeResult:
-    """The same contacts, of which nobody knows where they are."""
+    """The same contacts with intervals of the whole body: their places are unknown."""
     whole = (0.0, length_cm)
     contacts = tuple(
         replace(contact, status="ambiguous", interval=whole, intervals=(whole,))
@@ -224,23 +222,3 @@ def _shape(config: RobotConfig, sensors: Sequence[Sensor], free: Floats) -> Floa
     if not config.body.rest_curvature:
         return None
     return np.asarray(free + [_at_rest(config, sensor) for sensor in sensors])
-
-
-def _straightened(sensor: FlexSensor, reading: float, at_rest: float) -> tuple[FlexSensor, float]:
-    """The curvature that a flex sensor reads since its zero, with the sensor's own errors there.
-
-    A sensor answers weakly to bends against its direction. Which it is follows from the whole bend,
-    that at rest included: a body that is pushed straight still bends with its direction.
-    """
-    weak_at_rest = sensor.valid_direction * at_rest < 0.0
-    answer = reading + (sensor.against_gain * at_rest if weak_at_rest else at_rest)
-    if sensor.valid_direction * answer >= 0.0:
-        return sensor, answer - at_rest
-    against = _against(sensor)
-    return against, answer / against.against_gain - at_rest
-
-
-def _against(sensor: FlexSensor) -> FlexSensor:
-    """A sensor with the error of its gain in bends that it hardly answers to."""
-    relative = sensor.against_gain_se / sensor.against_gain
-    return sensor.model_copy(update={"scale_se": hypot(sensor.scale_se, relative)})

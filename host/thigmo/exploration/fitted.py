@@ -9,14 +9,14 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import ndtr
 
-from thigmo.config import SAME_LENGTH_CM, SIGN, RobotConfig, Side
-from thigmo.contact_status import SURE
+from thigmo.config import SAME_LENGTH_CM, SIGN, Side
+from thigmo.contact_status import SURE, narrow
 from thigmo.exploration.prior import boost, match
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
-from thigmo.localization.priors import narrow
 from thigmo.record import Explanation, MapContact, Obstacle
 from thigmo.robot import SweepResult
 from thigmo.robot.curvature import Floats
+from thigmo.wiring import Wiring
 
 _MAP_ERRS = 1.3  # bends of the atlas over the map's highest
 _CELL_CM = 0.5  # of the posterior along the body
@@ -25,7 +25,7 @@ _SMOOTH_CM = 0.25  # one sigma by which a sample of the arc is spread over the c
 
 @lru_cache(maxsize=4)
 def _atlas(length_cm: float, most_bend: float) -> Atlas:
-    """An atlas that all runs of a robot and their replays share: making it takes two seconds."""
+    """The atlas of a robot's body, kept for its runs and replays: making it takes two seconds."""
     return Atlas(length_cm, most_bend)
 
 
@@ -53,8 +53,9 @@ class FittedContact:
 class SideFits:
     """Fits to the sweeps of each side so far."""
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
-        self._config, self._prior = config, prior
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
+        config = wiring.config
+        self._wiring, self._config, self._prior = wiring, config, prior
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(
@@ -65,7 +66,7 @@ class SideFits:
         self._atlas = _atlas(config.body.length_cm, _MAP_ERRS * bend)
 
     def add(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
-        """Take what a sweep, in a zone of body pressure, read on its way to these sides."""
+        """Add a sweep's readings towards these sides, made in a zone of body pressure."""
         for side in sides:
             self._sweeps[side].append(Swept(sweep, zone))
 
@@ -81,7 +82,7 @@ class SideFits:
 
     def _fit(self, side: Side) -> list[FittedContact]:
         sweeps = self._sweeps[side]
-        prepared = read(sweeps, side, self._config)
+        prepared = read(sweeps, side, self._wiring)
         if prepared is None:
             return []
         expected = None

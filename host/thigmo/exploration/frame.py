@@ -11,25 +11,23 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.config import RobotConfig
-from thigmo.contact_status import POINT_ESTIMATE
+from thigmo.contact_status import POINT_ESTIMATE, WIDTH_SHARE
 from thigmo.exploration.workspace import Bend, place_contact
 from thigmo.localization import LocalizeResult, localize
-from thigmo.localization.priors import WIDTH_SHARE
 from thigmo.reading_errors import errors_of
 from thigmo.record import MapContact
 from thigmo.robot import Peak, SensorTable
 from thigmo.wiring import Wiring
 
 
-def localize_frame(peak: Peak, config: RobotConfig, zone: int, method: str) -> LocalizeResult:
+def localize_frame(peak: Peak, wiring: Wiring, zone: int, method: str) -> LocalizeResult:
     """Localize contacts from the averaged readings of one instant of a sweep.
 
     `zone` is that of the body pressure, `method` that of `localize`. Raises DataError if no sensor
     is usable.
     """
-    wiring = Wiring.of(config)
-    table = SensorTable.of(wiring).warmed(peak.warmth)
+    config = wiring.config
+    table = SensorTable.laid_out(wiring).warmed(peak.warmth)
     use = np.flatnonzero(table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature))
     sensors = [sensor for n in use if (sensor := wiring.read_sensors[n]) is not None]
     stated = errors_of(config, peak.side, zone, sensors)
@@ -55,7 +53,7 @@ def point_estimates(
 ) -> list[MapContact]:
     """A frame's places of unknown error for the map, on the body as so many readings bend it.
 
-    Each stage's place is a contact of its own: nothing tells whether it is another's.
+    Each stage's place is a contact of its own: nothing shows whether two are the same obstacle.
     """
     contacts = []
     for contact in result.contacts:

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from thigmo.config import SIDES, RobotConfig, Side
-from thigmo.contact_status import LIKELY, SURE
+from thigmo.config import SIDES, Side
+from thigmo.contact_status import LIKELY, SURE, narrow
 from thigmo.exploration.fitted import FittedContact, SideFits
 from thigmo.exploration.prior import match
-from thigmo.exploration.stall import Lean, Obstruction, causes
+from thigmo.exploration.stall import HeldBent, Obstruction, causes
 from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
-from thigmo.localization.priors import narrow
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 from thigmo.robot import SweepResult
+from thigmo.wiring import Wiring
 
 # No place is known better than this: the peg's own size and the slide along it.
 _FLOOR_CM = 1.0
@@ -33,24 +33,27 @@ _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 
 
 class ContactMap:
-    """Obstacles in the workspace; one that is an obstacle of the map that was given says so."""
+    """The obstacles that a run has found, in the workspace.
 
-    def __init__(self, config: RobotConfig, prior: Sequence[Obstacle] = ()) -> None:
-        self._config = config
+    `MapContact.known` is the obstacle of the prior map that a contact is matched with.
+    """
+
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
+        self._config = wiring.config
         self._prior = prior
-        self._fits = SideFits(config, prior)
+        self._fits = SideFits(wiring, prior)
         self._obstructions: list[MapContact] = []
         self.stall: Stall | None = None  # what stopped the growth
         self._points: list[MapContact] = []  # by a method without intervals
         self._known: list[MapContact] | None = []  # None: something was added since
 
     def add_sweep(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
-        """Take what a sweep, in a zone of body pressure, read on its way to these sides."""
+        """Add a sweep's readings towards these sides, made in a zone of body pressure."""
         self._fits.add(sweep, zone, sides)
         self._known = None
 
     def add_points(self, points: Iterable[MapContact]) -> None:
-        """Take contacts of unknown error: nothing tells which of them are one obstacle."""
+        """Add contacts of unknown error: nothing shows which of them are the same obstacle."""
         self._points += points
         self._known = None
 
@@ -85,9 +88,9 @@ class ContactMap:
         return known + self._points
 
     def tried(self, obstruction: Obstruction, *, moved_on: bool) -> None:
-        """Take a stall that was tried again at a higher body pressure.
+        """Add the outcome of a stalled growth that was tried again at a higher body pressure.
 
-        The tip that `moved_on` lacked pressure, and nothing stands there.
+        If the tip `moved_on`, it had lacked pressure, and no obstacle is added.
         """
         if moved_on:
             self.stall = causes(obstruction, self._walls(), moved_on=True)
@@ -103,7 +106,7 @@ class ContactMap:
         radius = self._config.body.radius_cm
         full_cm = self._config.body.length_cm
         probability, kind = 1.0, "peg"
-        if isinstance(obstruction, Lean):
+        if isinstance(obstruction, HeldBent):
             model = "growth bent the body: its zeros moved"
             if self.stall and abs(obstruction.arc_cm - self.stall.length_cm) < _ASIDE * full_cm:
                 # At the higher pressure the tip went round what had stopped it.
@@ -151,16 +154,17 @@ class ContactMap:
         self._known = None
 
     def _contact(self, placed: PlacedContact, **facts: Any) -> MapContact:
-        """A contact at its place, with the obstacle of the map that was given that it is."""
+        """A contact at its place, matched with the obstacles of the prior map."""
         contact = MapContact(**facts, **placed._asdict())
         return replace(contact, known=match(self._prior, contact))
 
 
 def _one_place(a: MapContact, b: MapContact, reach_cm2: float) -> bool:
-    """Whether one place explains two obstacles better than two do.
+    """Whether one obstacle explains two contacts better than two obstacles do.
 
-    They are of the two muscles' sweeps, on the same skin of the body, or growth met one of them.
-    The fit has already separated those of one muscle's sweeps.
+    Contacts can be the same obstacle if the two muscles' sweeps pressed the same skin of the body
+    against them, or if growth met one of them. The fit has already separated the contacts of one
+    muscle's sweeps.
     """
     by_growth = "" in (a.side, b.side)
     if a.side == b.side or not (by_growth or a.force_per_cm2 * b.force_per_cm2 > 0):

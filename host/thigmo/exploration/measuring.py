@@ -42,7 +42,7 @@ def caught_sides(sweep: SweepResult) -> set[Side]:
     caught: set[Side] = set()
     for side in SIDES:
         free = np.array([abs(f.free_curvature) for f in sweep.frames if f.side == side])
-        held = held_back(sweep.frames, side)
+        held = curvature_deficit(sweep.frames, side)
         over = np.abs(held) - free[: len(held)] / _GIVES_UP
         if np.count_nonzero(over > _CAUGHT_PER_CM) >= _SMOOTH:
             caught.add(side)
@@ -52,14 +52,14 @@ def caught_sides(sweep: SweepResult) -> set[Side]:
 def touch_curvature(frames: Sequence[SweepFrame], side: Side) -> float | None:
     """Free curvature (1/cm) at which a side's bend was first held back; None if it was not."""
     mine = [frame for frame in frames if frame.side == side]
-    first = np.flatnonzero(held_back(frames, side) > TRIGGER_PER_CM)
+    first = np.flatnonzero(curvature_deficit(frames, side) > TRIGGER_PER_CM)
     return mine[first[0]].free_curvature if first.size else None
 
 
-def held_back(frames: Sequence[SweepFrame], side: Side) -> Floats:
+def curvature_deficit(frames: Sequence[SweepFrame], side: Side) -> Floats:
     """By how much the base was held back in each frame of a side's way up, 1/cm.
 
-    A running median keeps edges and drops single frames, also the last one. On the way down the
+    A running median removes single outliers and keeps edges. The way down is left out: there the
     body may straighten sooner than the map says, as if it were held back.
     """
     mine = [(f.excess, f.free_curvature) for f in frames if f.side == side]
@@ -83,14 +83,15 @@ def pressed_enough(held_per_cm: float, config: RobotConfig, zone: int) -> bool:
 def pressing_zone(
     frames: Sequence[SweepFrame], sides: Collection[Side], config: RobotConfig, zone: int
 ) -> int:
-    """Zone of the body pressure in which contacts can be pressed hardest, found in another zone.
+    """Zone at whose body pressure contacts, felt in another zone, can be pressed hardest.
 
     `frames` are of the sweep that found them. A body under more pressure folds at a larger moment,
     but its muscles bend it less. From where the trigger fires, the base is held back further by at
     least about as much as the free body would have bent on.
     """
     if any(
-        not pressed_enough(held_back(frames, side).max(initial=0.0), config, zone) for side in sides
+        not pressed_enough(curvature_deficit(frames, side).max(initial=0.0), config, zone)
+        for side in sides
     ):
         return zone  # the muscle or a slip limits the moment, and not the fold
 
@@ -123,7 +124,7 @@ def measuring_pressure(
     if len(mine) < _SMOOTH:
         return highest
     pressure = np.array([frame.pressure_psi for frame in mine])
-    held = held_back(frames, side)
+    held = curvature_deficit(frames, side)
     reached = np.flatnonzero(held >= _SHARE * fold_moment(config, zone))
     frame = reached[0] if reached.size else int(held.argmax())
     return float(min(max(pressure[frame], _LOWEST_PSI), highest))

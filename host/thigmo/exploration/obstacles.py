@@ -1,10 +1,10 @@
 """From what a run found to the map that a planner reads: obstacles, free space, a grid.
 
 Built from contacts.json alone, so that a live run, one cut short and a replay all export the same
-way. Free is where the tube has been but for one chance in a thousand, as far as its shapes' errors
-tell; occupied is what lies within a standard deviation of a localized contact, or between the
-points of a wall that is one to 95 %; it wins over free. The rest is unknown, and so is what lies
-near a contact, up to the same chance.
+way. A cell is free if the tube has swept it, at a probability of 99.9 % by the errors of the tube's
+shapes. A cell is occupied within one standard deviation of a localized contact, and between the
+points of a wall that is at least 95 % probable; occupied wins over free. All other cells are
+unknown, also those that hold a contact with a probability of more than 0.1 %.
 """
 
 from __future__ import annotations
@@ -79,9 +79,13 @@ def export_obstacles(
 def occupancy(
     document: RunDocument, radius_cm: float, prior: Sequence[Obstacle] = (), sigmas: float = SIGMAS
 ) -> tuple[OccupancyGrid, list[Obstacle]]:
-    """The grid of what a run knows, and its obstacles.
+    """The map of a run as a grid of cells, and its obstacles.
 
-    Free cells keep `sigmas` standard errors from what is not.
+    Args:
+        radius_cm: of the tube.
+        prior: obstacles of the map that the run was given.
+        sigmas: standard errors by which swept space is narrowed and contacts are widened before a
+            cell counts as free.
     """
     felt = [_obstacle(contact) for contact in document.contacts]
     known = {contact.known for contact in document.contacts}
@@ -208,7 +212,7 @@ def _within(grid: OccupancyGrid, polygons: Sequence[NDArray[np.float64]]) -> Mas
 def _near_line(
     grid: OccupancyGrid, obstacle: Obstacle, points: Sequence[Point], sigmas: float
 ) -> Mask:
-    """Cells that may hold the obstacle's surface along a line of it, and so far across it."""
+    """Cells within `sigmas` standard errors across a line of an obstacle's surface."""
     near = np.zeros(grid.cells.shape, dtype=np.bool_)
     across_cm = 0.0  # standard error
     if obstacle.normal_rad is not None:

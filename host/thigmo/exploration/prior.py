@@ -2,8 +2,8 @@
 
 What it shows makes a contact there likelier, and nothing more: the posterior over the arc is the
 likelihood times a prior in which the contact is as likely one of the known obstacles as a new one
-anywhere. A map that is wrong can so move an estimate within its interval, and cannot make a contact
-or hide one. Coordinates are those of obstacles.json: the robot's base at the origin, x along it.
+anywhere. A wrong map can move an estimate within its interval, but it cannot make a contact or
+hide one. Coordinates are those of obstacles.json: the robot's base at the origin, x along it.
 """
 
 from __future__ import annotations
@@ -38,16 +38,17 @@ _SAME_SIGMA = 3.0
 
 
 def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats:
-    """Prior density at points of the skin, (n, 2) in cm, relative to that of a new obstacle.
+    """Prior density of a contact at points of the skin, (n, 2) in cm, relative to no map.
 
-    That one may touch a body of `length_cm` anywhere.
+    Without a map a contact is equally likely anywhere on a body of `length_cm`. The known obstacles
+    together are as likely as a new one, so the mean over the arc is about 1: a map makes no contact
+    likelier as a whole.
     """
-    # Known and new are equally likely: the bell over an arc holds as much as the rest of it.
-    peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi))
+    peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi)) / max(len(prior), 1)
     value = np.ones(len(points))
     for obstacle in prior:
         value += peak * np.exp(-0.5 * _squared(obstacle, points, np.zeros((2, 2))))
-    return value
+    return 0.5 * value if prior else value
 
 
 def match(prior: Sequence[Obstacle], contact: MapContact) -> int | None:

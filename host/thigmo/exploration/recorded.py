@@ -51,15 +51,15 @@ class RecordedSweep:
 class _Frames:
     """Reads the board's state off its frames, as the robot object does live."""
 
-    def __init__(self, config: RobotConfig) -> None:
-        self._wiring = Wiring.of(config)
-        self.table = SensorTable.of(self._wiring)
+    def __init__(self, wiring: Wiring) -> None:
+        self._wiring = wiring
+        self.table = SensorTable.laid_out(wiring)
         self._enabled = self.table.board.healthy.copy()
-        rows = wire.parameters(**self._wiring.size.capacity)
+        rows = wire.parameters(**wiring.size.capacity)
         self._first, self._oversample = (rows[n].index for n in ("flex_enabled", "oversample_log2"))
         self._creep: CreepWatch | None = None
         self._clock = DeviceClock()
-        self._before = self.table  # the last zeroing
+        self._previous_table = self.table  # the last zeroing
         self.zone = 0  # of the body pressure
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SweepFrame] = []
@@ -117,7 +117,7 @@ class _Frames:
             case wire.ParameterValue() if message.index == self._oversample:
                 self.table = replace(self.table, oversample=1 << message.value)
             case wire.ZeroSensors():
-                self._before = self.table
+                self._previous_table = self.table
             case wire.SensorReport() if message.flags & _ZEROED:
                 self.table = self.table.zeroed({message.sensor: message.zero_sum_q8 / 256})
             case wire.Sweep() if (frame.session, frame.seq) != self._last_sweep:
@@ -144,7 +144,7 @@ class _Frames:
 
     def zeros(self) -> tuple[Floats, Floats]:
         """The zeros before the last zeroing and after it, as `Robot.zeros`."""
-        return self._before.board.zeros, self.table.board.zeros
+        return self._previous_table.board.zeros, self.table.board.zeros
 
     def _device_s(self, t_us: int) -> float:
         return self._clock.unwrap(t_us) * 1e-6
@@ -197,12 +197,13 @@ class RecordedRun:
         method: str = FIELD,
     ) -> None:
         self.logs = logs
-        self.knowledge = RunKnowledge(config, prior, method)
+        wiring = Wiring.laid_out(config)
+        self.knowledge = RunKnowledge(wiring, prior, method)
         self.sweeps: list[RecordedSweep] = []
         self.bad = 0
         for log in self.logs:
             _check(folder, log)
-            frames = _Frames(config)
+            frames = _Frames(wiring)
             self._read(log, frames)
             if frames.sweeps and all(note.facts["topic"] != "step" for note in log.notes):
                 raise RunFolderError(
@@ -275,12 +276,12 @@ def _check(folder: RunFolder, log: Log) -> None:
 
 
 def recorded_sweeps(run: str | os.PathLike[str]) -> list[SweepResult]:
-    """The sweeps in a run's raw record, in their order, for who wants to localize otherwise.
+    """The sweeps in a run's raw record, in their order, for programs that localize otherwise.
 
     Raises as `replay` does.
     """
     folder = RunFolder(run)
-    frames, log = _Frames(folder.read_config()), folder.read_log()
+    frames, log = _Frames(Wiring.laid_out(folder.read_config())), folder.read_log()
     _check(folder, log)
     for item in log.items:
         if isinstance(item, Entry):

@@ -1,8 +1,8 @@
-"""The localizer again over a run's raw record, from the frames that crossed the link.
+"""Localizes a run's contacts again from its raw record, the frames that crossed the link.
 
 Nothing is taken from contacts.json: the run's steps and its readings are read off the record
-(`recorded`), and what the live run knew is built up from them again (`run_knowledge`). So a newer
-localizer can be tried on an old run, and a doubtful result can be checked.
+(`recorded`), and the run's knowledge is rebuilt from them (`run_knowledge`). So a newer localizer
+can be tried on an old run, and a doubtful result can be checked.
 """
 
 from __future__ import annotations

@@ -15,6 +15,13 @@ from typing import Any, Literal
 from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import Plan, Planner
+from thigmo.exploration.growth import (
+    growth_target,
+    growth_zone,
+    short_of,
+    stage_lengths,
+    trial_zone,
+)
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
@@ -23,12 +30,11 @@ from thigmo.exploration.measuring import (
     pressing_zone,
 )
 from thigmo.exploration.obstacles import export_obstacles
-from thigmo.exploration.plan import growth_target, growth_zone, short_of, stage_lengths, trial_zone
 from thigmo.exploration.prior import obstacle_ahead
 from thigmo.exploration.run_control import Live, RunControl
 from thigmo.exploration.run_knowledge import RunKnowledge
 from thigmo.exploration.scoring import true_obstruction
-from thigmo.exploration.stall import Lean
+from thigmo.exploration.stall import HeldBent
 from thigmo.exploration.states import NEXT, State
 from thigmo.record import LogWriter, Obstacle, RunDocument, RunFolder, Truth, read_ros_map
 from thigmo.robot import (
@@ -63,7 +69,7 @@ class Exploration:
     """Drives one robot through the state table."""
 
     robot: Robot  # connected, not yet configured
-    config: RobotConfig  # robot.toml
+    wiring: Wiring  # of its robot.toml
     folder: RunFolder  # made
     log: LogWriter  # its record, open
     # what is known at the start; kept up to date, and written after each stage
@@ -93,14 +99,18 @@ class Exploration:
     def __post_init__(self) -> None:
         self.live = Live(self.robot)
         self._knowledge = self.knowledge or RunKnowledge(
-            self.config, self.prior, self.document.method
+            self.wiring, self.prior, self.document.method
         )
         self._knowledge.journal = self._note_step
         self._interpreter = self._knowledge.interpreter
-        self._wiring = Wiring.of(self.config)
-        self._table = SensorTable.of(self._wiring)
-        self._base = sum(1 << number for number in self._wiring.base_inputs)
+        self._table = SensorTable.laid_out(self.wiring)
+        self._base = sum(1 << number for number in self.wiring.base_inputs)
         self.planner = Planner(self._short_of_the_map(), self.planner.effort)
+
+    @property
+    def config(self) -> RobotConfig:
+        """robot.toml."""
+        return self.wiring.config
 
     def run(self) -> None:
         """Walk the table to its end; each state has the method of its name.
@@ -154,18 +164,18 @@ class Exploration:
 
     # Before the first stage.
 
-    def _short_of_the_map(self) -> RobotConfig:
+    def _short_of_the_map(self) -> Wiring:
         """The robot as it is planned for: it ends short of an obstacle that the map has ahead."""
         ahead = obstacle_ahead(self.prior, self.config.body.radius_cm)
         if ahead is None or not self.config.body.grows or ahead[1] >= self.config.body.length_cm:
-            return self.config
+            return self.wiring
         planned = short_of(self.config, ahead[1])
         said = (
             f"it ends at {planned.body.length_cm:.1f} cm, short of what the map has in its path at "
             f"x {ahead[0]:.1f} cm, so obstacles farther out are not felt"
         )
         self._note(skips="; ".join(filter(None, [self.document.skips, said])))
-        return planned
+        return replace(self.wiring, config=planned)
 
     def _configure(self) -> str:
         if self.document.skips:
@@ -253,7 +263,7 @@ class Exploration:
             if self._knowledge.stall(grown) is not None:
                 self._knowledge.growth_stalled(grown)
                 return "no eversion"
-            whole = [each for each in stage_lengths(self.config) if each >= target]
+            whole = [length_cm for length_cm in stage_lengths(self.config) if length_cm >= target]
             if not self._knowledge.stages and self._knowledge.leans(grown):
                 self._stage_cm = whole[0]  # what it leans on is passed no farther
             elif target < self._stage_cm and target == whole[0]:
@@ -269,7 +279,7 @@ class Exploration:
 
     def _grown(self) -> Profile:
         """Lengths of the stage's growth, and what the sensors read at each."""
-        return self._growth.profile(SensorTable.of(self._wiring, self.robot.oversample))
+        return self._growth.profile(SensorTable.laid_out(self.wiring, self.robot.oversample))
 
     def _back_off(self) -> str:
         """Wind in until the tip is clear of what stopped or bent it.
@@ -279,19 +289,19 @@ class Exploration:
         """
         obstruction, truth = self._knowledge.obstruction, self.robot.truth()
         assert obstruction is not None
-        leaning = isinstance(obstruction, Lean)
+        held_bent = isinstance(obstruction, HeldBent)
         if truth is not None:
             ahead = (
                 truth.contacts
-                if leaning
+                if held_bent
                 else true_obstruction(truth.pegs, obstruction, self.config)
             )
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
-        clear_cm = obstruction.clear_cm if isinstance(obstruction, Lean) else self._start_cm
+        clear_cm = obstruction.clear_cm if isinstance(obstruction, HeldBent) else self._start_cm
         retraction = self.robot.retract_to(min(self._start_cm, clear_cm))
         self.length_cm = retraction.length_cm
         self.live.tell(Log, "warning" if retraction.late else "info", retraction.words)
-        if leaning:
+        if held_bent:
             return "clear of what held it"
         higher = trial_zone(self.config, self._zone)
         if self._knowledge.tried is None and higher is not None:
@@ -321,13 +331,13 @@ class Exploration:
     def _zero(self) -> str:
         if not self._zeroed():
             return "drifting"
-        if isinstance(self._knowledge.obstruction, Lean):
+        if isinstance(self._knowledge.obstruction, HeldBent):
             return self._released()
         if self._knowledge.swept(self.length_cm):
             return "zeroed after sweep"
         if self._stage_cm > self._knowledge.straight_cm:
             grown, zeros = self._grown(), self.robot.zeros()
-            if self._knowledge.lean(grown, zeros) is not None:
+            if self._knowledge.detect_held_bent(grown, zeros) is not None:
                 self._knowledge.held_bent(grown, zeros)
                 return "held bent"
         return "zeroed after growth"
@@ -362,7 +372,7 @@ class Exploration:
             {
                 muscle.name: muscle.max_pressure_psi
                 for muscle in self.config.muscles
-                if muscle not in self._wiring.unguarded_muscles
+                if muscle not in self.wiring.unguarded_muscles
             },
             period_s=period_s(self.config, self._zone),
             rising_only=not thesis,
@@ -382,18 +392,13 @@ class Exploration:
         """Whether a side's sweep can stop, because the base is near its fold."""
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         if held > TRIGGER_PER_CM:
-            self._show(so_far, self._zone)
+            self.live.sweeping(self._interpreter, so_far, self._zone, self.length_cm)
         return pressed_enough(held, self.config, self._zone)
-
-    def _show(self, so_far: SweepResult, zone: int) -> None:
-        """Publish what a sweep feels so far to viewers."""
-        if self.live.due and (answer := self._interpreter.so_far(so_far, zone)) is not None:
-            self.live.posterior(self.length_cm, answer, sweeping=True)
 
     def _measured_enough(self, so_far: SweepResult) -> bool:
         """Whether a measurement at a raised body pressure can stop: the base is near its fold."""
         zone = self._measured_zone
-        self._show(so_far, zone)
+        self.live.sweeping(self._interpreter, so_far, zone, self.length_cm)
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         return zone != self._zone and pressed_enough(held, self.config, zone)
 

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from thigmo.errors import StoppedByViewerError
-from thigmo.exploration.stage import SideAnswer
+from thigmo.exploration.stage import Interpreter, SideAnswer
 from thigmo.link import protocol as wire
-from thigmo.robot import Robot
+from thigmo.robot import Robot, SweepResult
 from thigmo.stream import Command, Message, Posterior, Question
 
 # A viewer draws no faster, and a shape of the body comes each tenth of a second.
@@ -33,10 +33,17 @@ class Live:
         t_s = self._robot.now()
         self._robot.hub.publish(message(t_s, self._robot.epoch_s + t_s, *fields))
 
-    @property
-    def due(self) -> bool:
-        """Whether it is time for another posterior of mid-sweep: there are ten a second."""
-        return self._robot.now() - self._felt_s >= _SWEEPING_S
+    def sweeping(
+        self, interpreter: Interpreter, so_far: SweepResult, zone: int, length_cm: float
+    ) -> None:
+        """Show what a sweep feels while it goes on, ten times a second.
+
+        The map does not depend on it.
+        """
+        if self._robot.now() - self._felt_s < _SWEEPING_S:
+            return
+        if (answer := interpreter.so_far(so_far, zone)) is not None:
+            self.posterior(length_cm, answer, sweeping=True)
 
     def posterior(self, length_cm: float, answer: SideAnswer, *, sweeping: bool = False) -> None:
         """What the sweep of one side showed; `sweeping` while it goes on."""
@@ -95,7 +102,7 @@ class RunControl:
 
 
 class Questions:
-    """What a run asks its operator, on its stream; see `room.Viewers`."""
+    """What a run asks its operator, on its stream; see `operator_prompts.Viewers`."""
 
     def __init__(self, robot: Robot, control: RunControl) -> None:
         self._live = Live(robot)

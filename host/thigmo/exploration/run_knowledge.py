@@ -16,10 +16,10 @@ from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from thigmo.config import SAME_LENGTH_CM, RobotConfig
+from thigmo.config import SAME_LENGTH_CM
 from thigmo.exploration.methods import FIELD
 from thigmo.exploration.stage import Interpreter, SideAnswer
-from thigmo.exploration.stall import Lean, Obstruction, lean, stall
+from thigmo.exploration.stall import HeldBent, Obstruction, detect_held_bent, stall
 from thigmo.record import Obstacle, Stage, Stall
 from thigmo.robot import Profile, SensorTable, SweepResult
 from thigmo.robot.curvature import Floats
@@ -45,7 +45,7 @@ STEPS: dict[str, Step] = {}  # by name
 def _step(
     method: Callable[Concatenate[RunKnowledge, _P], _R],
 ) -> Callable[Concatenate[RunKnowledge, _P], _R]:
-    """Mark a method as a step of the run, of which the journal is told.
+    """Mark a method as a step of the run, which the journal keeps.
 
     Its positional arguments are readings, its keyword arguments are numbers.
     """
@@ -66,7 +66,7 @@ class RunKnowledge:
     """Takes a run's steps in their order.
 
     Attributes:
-        journal: is told each step before it is taken.
+        journal: called with each step before it is taken.
         interpreter: of the sweeps, with the map.
         stages: those that were swept to their end.
         looked: the stage's sweep for contacts.
@@ -78,15 +78,13 @@ class RunKnowledge:
         straight_cm: up to this length the body is known not to be held bent.
     """
 
-    def __init__(
-        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = FIELD
-    ) -> None:
-        self._table = SensorTable.of(Wiring.of(config))
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = (), method: str = FIELD) -> None:
+        self._table = SensorTable.laid_out(wiring)
         self._board = self._table.board  # its zeros last from stage to stage
         self._zone = self._measured_zone = 0
         self._stage_looked = False
         self.journal: Journal = lambda step, numbers: None
-        self.interpreter = Interpreter(config, prior, method)
+        self.interpreter = Interpreter(wiring, prior, method)
         self.stages: list[Stage] = []
         self.looked = SweepResult()
         self.measured: SweepResult | None = None
@@ -115,19 +113,19 @@ class RunKnowledge:
     def leans(self, profile: Profile) -> bool:
         """Whether a growth whose sensors have no zero yet looks as if the body were held bent."""
         unknown = np.full(self._board.inputs, np.nan)
-        return lean(self._by_board(profile), unknown, unknown, self._board) is not None
+        return detect_held_bent(self._by_board(profile), unknown, unknown, self._board) is not None
 
-    def lean(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Lean | None:
+    def detect_held_bent(self, profile: Profile, zeros: tuple[Floats, Floats]) -> HeldBent | None:
         """What holds the body bent after the stage's growth, if anything.
 
         `zeros`: before the sensors were zeroed, and after.
         """
-        return lean(self._by_board(profile), *zeros, self._board)
+        return detect_held_bent(self._by_board(profile), *zeros, self._board)
 
     @_step
     def held_bent(self, profile: Profile, zeros: tuple[Floats, Floats]) -> None:
         """Something holds the body bent."""
-        self.obstruction = self.lean(profile, zeros)
+        self.obstruction = self.detect_held_bent(profile, zeros)
 
     def _by_board(self, profile: Profile) -> Profile:
         return profile._replace(bend=profile.bend[:, : self._board.inputs])
@@ -137,7 +135,7 @@ class RunKnowledge:
 
         If not, the zeros have moved by themselves. `zeros`: before the last zeroing, and after.
         """
-        return isinstance(self.obstruction, Lean) and self.obstruction.released(*zeros)
+        return isinstance(self.obstruction, HeldBent) and self.obstruction.released(*zeros)
 
     @_step
     def zeros_moved(self) -> None:
@@ -169,11 +167,11 @@ class RunKnowledge:
         obstruction, self.obstruction = self.obstruction, None
         if obstruction is None:
             return None
-        if self.tried is None or isinstance(obstruction, Lean):
+        if self.tried is None or isinstance(obstruction, HeldBent):
             self.interpreter.map.add_obstruction(obstruction)
         else:
             self.interpreter.map.tried(obstruction, moved_on=False)
-        return None if isinstance(obstruction, Lean) else self.interpreter.map.stall
+        return None if isinstance(obstruction, HeldBent) else self.interpreter.map.stall
 
     # A stage's sweeps.
 

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIDES, SIGN, RobotConfig, Side
+from thigmo.config import SIDES, SIGN, Side
 from thigmo.contact_status import LIKELY
 from thigmo.exploration.fitted import FittedContact
 from thigmo.exploration.frame import localize_frame, point_estimates
 from thigmo.exploration.map import ContactMap
-from thigmo.exploration.measuring import caught_sides, held_back, pressed_enough
+from thigmo.exploration.measuring import caught_sides, curvature_deficit, pressed_enough
 from thigmo.exploration.methods import FIELD, THESIS
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.workspace import Bend, centreline, common_error, measured_bend
@@ -57,14 +57,12 @@ class Interpreter:
         map: the contacts so far.
     """
 
-    def __init__(
-        self, config: RobotConfig, prior: Sequence[Obstacle] = (), method: str = FIELD
-    ) -> None:
-        self._config = config
+    def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = (), method: str = FIELD) -> None:
+        self._wiring, self._config = wiring, wiring.config
         self._thesis = method == THESIS
         self._prior = prior
-        self._table = SensorTable.of(Wiring.of(config))
-        self.map = ContactMap(config, prior)
+        self._table = SensorTable.laid_out(wiring)
+        self.map = ContactMap(wiring, prior)
 
     def take(self, sweep: SweepResult, zone: int) -> None:
         """Take a sweep, in a zone of body pressure."""
@@ -85,7 +83,7 @@ class Interpreter:
         """Sides on which a sweep that was taken touched something."""
         sides = self._readable_sides(sweep)
         if self._thesis:
-            held = {side: held_back(sweep.frames, side).max(initial=0.0) for side in sides}
+            held = {side: curvature_deficit(sweep.frames, side).max(initial=0.0) for side in sides}
             return {side for side in sides if held[side] > TRIGGER_PER_CM}
         return {side for side in sides if self._felt(side, sweep)}
 
@@ -155,7 +153,7 @@ class Interpreter:
         )
 
     def _by_frame(self, peak: Peak, zone: int, method: str) -> SideAnswer:
-        result = localize_frame(peak, self._config, zone, method)
+        result = localize_frame(peak, self._wiring, zone, method)
         return SideAnswer(
             peak.side,
             peak.length_cm,
@@ -198,7 +196,7 @@ class Interpreter:
         """The stage's entry in contacts.json."""
         said = {answer.side: (answer.status, answer.message) for answer in answers}
         said |= {side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in said}
-        shapes = _swept_shapes(length_cm, zone, sweep, self._config)
+        shapes = _swept_shapes(length_cm, zone, sweep, self._wiring)
         return Stage(
             everted_length_cm=length_cm,
             body_pressure_psi=self._config.body.zones[zone].pressure_psi,
@@ -213,7 +211,7 @@ class Interpreter:
             held_back_per_cm={
                 side: round(float(held.max()), 6)
                 for side in SIDES
-                if (held := held_back(sweep.frames, side)).size
+                if (held := curvature_deficit(sweep.frames, side)).size
             },
         )
 
@@ -232,15 +230,13 @@ def _words(contact: MapContact) -> str:
     return f"{contact.model}, {place}" + (f"; {contact.doubt}" if contact.doubt else "")
 
 
-def _gain_errors(config: RobotConfig) -> Floats:
+def _gain_errors(wiring: Wiring) -> Floats:
     """(n,) relative standard error of each sensor's scale today; 1 where there is no sensor."""
-    sensors = Wiring.of(config).read_sensors
+    sensors = wiring.read_sensors
     return np.array([np.hypot(s.gain_error, s.drift_se) if s else 1.0 for s in sensors])
 
 
-def _swept_shapes(
-    length_cm: float, zone: int, sweep: SweepResult, config: RobotConfig
-) -> list[Shape]:
+def _swept_shapes(length_cm: float, zone: int, sweep: SweepResult, wiring: Wiring) -> list[Shape]:
     """A dozen shapes of the body on each half sweep's way up, until its base is near its fold.
 
     They follow the readings, and not the map: a peg may hold the body back long before the trigger
@@ -248,8 +244,7 @@ def _swept_shapes(
     and so a sensor that reads too much makes no space free.
     """
     shapes = []
-    table = SensorTable.of(Wiring.of(config))
-    gain = _gain_errors(config)
+    table, gain = SensorTable.laid_out(wiring), _gain_errors(wiring)
     for side in SIDES:
         frames, readings = sweep.half(side)
         # A record with a gap may lack a sensor's zero.
@@ -258,8 +253,8 @@ def _swept_shapes(
             continue
         readings = readings[:, use]
         pressure = np.array([frame.pressure_psi for frame in frames])
-        held = held_back(frames, side)
-        folds = np.array([pressed_enough(deficit, config, zone) for deficit in held])
+        held = curvature_deficit(frames, side)
+        folds = np.array([pressed_enough(deficit, wiring.config, zone) for deficit in held])
         end = min([int(pressure.argmax()) + 1, *np.flatnonzero(folds)[:1]])
         way = SIGN[side]
         for part in np.array_split(np.arange(end), _SHAPES_A_SIDE):

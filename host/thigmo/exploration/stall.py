@@ -1,17 +1,17 @@
 """Obstructions of growth, by the sensors: a peg that stopped the tip or bent the body aside.
 
 The spool only pays out line; nothing measures its tension. If a peg stands ahead, the tip stalls,
-the tail goes slack, and the length that the encoder tells is too long from there on. But a sensor
-that everts passes through the tip's fold, the tightest bend there is: its reading rises and falls
-again. A sensor that lies behind the believed tip and shows no such thing has not come out. How far
-it got says where the tip is.
+the tail goes slack, and from there on the encoder's length is too long. But a sensor that everts
+passes through the tip's fold, the tightest bend there is: its reading rises and falls again. A
+sensor that should lie behind the tip and shows no such peak has not everted. How far it came shows
+where the tip is.
 
 A tip that meets a peg off its middle is not stopped but slides round it, and the vented robot then
-leans on the peg with its side. Zeroed so, every later reading would be wrong by that bend. But a
-zero, taken of the same sensor at the last stage, moves by its noise only: those that move by more,
-each by its lever, say that the body is held bent. The encoder says where: it was bent when the tip
-passed the peg. Wound in until its tip is clear of the peg, such a body straightens and the zeros
-come back. Those that stay have moved by themselves.
+leans on the peg with its side. If it is zeroed there, every later reading is wrong by that bend.
+From one stage to the next a sensor's zero moves by its noise only. Zeros that move by more, each in
+proportion to its lever, show that the body is held bent. It was bent as the tip passed the peg, and
+the encoder gives that length. Wound in until its tip is clear of the peg, such a body straightens,
+and its zeros come back. Zeros that do not come back have moved by themselves.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import median_filter
 
-from thigmo.exploration.plan import FOLD_MARGIN_CM
+from thigmo.exploration.growth import FOLD_MARGIN_CM
 from thigmo.record import Stall
 from thigmo.robot import Profile, SensorTable
 from thigmo.robot.curvature import Floats
@@ -40,8 +40,8 @@ _ONSET_CM = 1.0  # a fold that has entered a sensor by less may go unseen
 # Standard deviations of the sensors' calibrated noise by which zeros move together when the body is
 # held bent; what remains of an eversion's creep is less.
 _SIGMAS = 4.0
-# A lean moves every zero by its lever. Less than this share of their squares explained is a sensor
-# that moved alone.
+# A peg that holds the body bent moves every zero by its lever. Less than this share of their
+# squares explained is a sensor that moved alone.
 _EXPLAINED = 0.8
 # Of what stops a growth, before anything is known: an obstacle against too little pressure, and of
 # obstacles the share of walls, by themselves and where a known wall leads there.
@@ -64,7 +64,7 @@ _BACK_CM, _ON_CM = 1.0, 1.5
 
 @dataclass(frozen=True, slots=True)
 class Obstruction:
-    """A peg in the way of growth. It stopped the tip, unless it is a `Lean`."""
+    """A peg in the way of growth. It stopped the tip, unless it is a `HeldBent`."""
 
     length_cm: float  # everted length
     arc_cm: float  # where the peg is, by the best guess
@@ -119,7 +119,7 @@ def _crosses_path(line: Sequence[tuple[float, float]], interval: tuple[float, fl
 
 
 @dataclass(frozen=True, slots=True)
-class Lean(Obstruction):
+class HeldBent(Obstruction):
     """A peg on which the body leans while nothing inflates it."""
 
     curvature_se: float  # standard error of the bend, 1/cm
@@ -170,9 +170,17 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | 
     return None
 
 
+def _before(length_cm: Floats, reading: Floats, start: float) -> float:
+    """What a sensor read before the fold can have reached it, whatever is in doubt of its place."""
+    clear = length_cm < start - FOLD_MARGIN_CM - _ONSET_CM
+    if not clear.any():
+        clear = length_cm < start
+    return float(np.median(reading[clear][-_SMOOTH:]))
+
+
 def _left_late(length_cm: Floats, reading: Floats, start: float, end: float) -> float:
     """By how much later than the line says the fold went past a sensor, cm."""
-    before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
+    before = _before(length_cm, reading, start)
     rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - before)
     top = int(rise.argmax())
     low = np.flatnonzero(rise[top:] < _PASSED * rise[top])
@@ -184,7 +192,7 @@ def _stalled(
     length_cm: Floats, reading: Floats, start: float, end: float, least: float
 ) -> tuple[float, float, float] | None:
     """(tip, low, high) of a sensor that the fold did not pass through; None if it did."""
-    before = float(np.median(reading[length_cm < start][-_SMOOTH:]))
+    before = _before(length_cm, reading, start)
     last = float(np.median(reading[-_SMOOTH:]))
     rise = np.abs(reading - before)
     top = int(rise.argmax())
@@ -201,7 +209,9 @@ def _stalled(
     return tip, start, end
 
 
-def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) -> Lean | None:
+def detect_held_bent(
+    profile: Profile, before: Floats, after: Floats, table: SensorTable
+) -> HeldBent | None:
     """What a growth's readings and the zeros around it show of the body; None if it is straight.
 
     `before` and `after` (10,) are NaN without a zero. Before the first of all zeros, the growth's
@@ -215,7 +225,7 @@ def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) ->
     moved = after - before
     known = table.healthy & np.isfinite(moved) & np.isfinite(bend).all(axis=0)
     for way in (1, -1):
-        use = known & ((table.direction == 0) | (table.direction == way))
+        use = known & ((table.bend_sign == 0) | (table.bend_sign == way))
         count = int(use.sum())
         if count == 0:
             continue
@@ -236,16 +246,16 @@ def lean(profile: Profile, before: Floats, after: Floats, table: SensorTable) ->
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))
         shown = np.where(use, moved, np.nan)
-        return Lean(float(length_cm[-1]), arc, (low, high), count, force, noise, shown)
+        return HeldBent(float(length_cm[-1]), arc, (low, high), count, force, noise, shown)
     return None
 
 
 def _first_zeros(profile: Profile, table: SensorTable) -> tuple[Profile, Floats, Floats]:
-    """A growth before the first zeros, without creep, and what they were before a bend and after.
+    """A growth before the first zeros, without creep, and estimated zeros before and after a bend.
 
-    Of the sensors nearest to the base, which everted first. Each creeps back to its rest, as a sum
-    of a slow and a fast decay; what a peg adds, it adds at once, to all of them at one length. The
-    length is that which leaves least.
+    Only the sensors nearest to the base are used, which everted first. Each creeps back to its rest
+    as a sum of a slow and a fast decay. A peg's bend appears in all of them at one length, at which
+    the fit leaves the smallest residual.
     """
     before, after = np.full((2, len(table.center_cm)), np.nan)
     out_cm = table.center_cm + table.span_cm / 2 + FOLD_MARGIN_CM

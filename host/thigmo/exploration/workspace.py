@@ -90,7 +90,7 @@ def _at_base(x: Floats, y: Floats, end: tuple[float, float]) -> float:
 
 
 def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
-    """The body as sensors at `centers` (N,) in cm, in any order, see it by their readings in 1/cm.
+    """The bent body by the readings (N,) in 1/cm of sensors at `centers` (N,) in cm, in any order.
 
     It is linear between their centres, and constant beyond the last.
     """
@@ -103,10 +103,12 @@ def measured_bend(length_cm: float, centers: Floats, curvature: Floats) -> Bend:
 
 
 def common_error(arc_cm: float, centers: Floats, covariance: Floats) -> float:
-    """Standard error of a common curvature that puts a place as far off as the sensors' own may.
+    """Standard error of the mean curvature that displaces a point as the sensors' errors do, 1/cm.
 
-    Theirs have a covariance (N, N), in 1/cm^2, at centers (N,) in cm, in any order; the place is at
-    an arc.
+    Args:
+        arc_cm: arc of the point.
+        centers: (N,) of the sensors, cm, in any order.
+        covariance: (N, N) of their curvatures, 1/cm^2.
     """
     along = np.argsort(centers)
     arc = np.arange(0.0, arc_cm, _STEP_CM)

@@ -37,6 +37,9 @@ FALSE_ALARMS = 0.05
 _SURELY, _NEAR = 3.0, 5.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
+# Tube radii over which the end's shape decides where it touches, and one sigma of that: fabric that
+# everts is anything between a flat end and a half sphere.
+_END, _END_STD = 1.0, 0.5
 # Sum of squares over the number of independent readings that a model which holds leaves on average.
 # Where one peg leaves more, though possible, it is weighed against two and a wall.
 _USUAL = 1.0
@@ -123,18 +126,21 @@ def _contacts(
 ) -> list[FieldContact]:
     search = Search(readings, errors, atlas)
     peg = _one_peg(search, expected)
-    if peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL:
-        return _answer(search, [peg], "")
-    gone = _gave_way(search, errors, atlas, expected)
+    holds = peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL
+    gone = None if holds else _gave_way(search, errors, atlas, expected)
     explanations = [samples for samples in (peg, gone) if samples is not None]
     if not explanations:
         return []
     explanations.sort(key=lambda samples: -samples.log_evidence)
     if explanations[0] is gone and not _doubt(explanations, readings):
         return _answer(search, explanations, "")
-    for sought in (search.pairs, search.walls):
-        modes = sought()
-        if modes and max(map(search.laplace, modes)) > explanations[0].log_evidence - _NEAR:
+    # One peg may leave no more than is usual where two are touched at different lengths, or where a
+    # second one is touched beyond it. So two are weighed in any case; where one holds, they must be
+    # likelier.
+    pairs = search.pairs(None if peg is None else peg.likeliest)
+    for modes in (pairs, [] if holds else search.walls()):
+        least = explanations[0].log_evidence - (0.0 if holds else _NEAR)
+        if modes and max(map(search.laplace, modes)) > least:
             samples = _sampled(search, [modes], expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
@@ -290,12 +296,16 @@ def _placed(
     # What the model leaves is taken for more noise; and few samples that agree are as much too
     # narrow as they are too few.
     wider = max(1.0, leaves) * max(1.0, ENOUGH / samples.effective) ** 0.5
+    # On the end, its shape adds to the errors: a round one touches farther back.
+    end = float(mass @ (place[:, 0] > length - _END * readings.radius))
+    by_shape = _END * readings.radius * end
     interval = (
-        max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM, 0.0),
+        max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM - by_shape, 0.0),
         min(float(mean[0] + wider * (high - mean[0])) + _LENGTH_CM, length),
     )
     off = wider * (place - mean)
-    covariance = (mass[:, None] * off).T @ off + _LENGTH_CM**2 * np.eye(3)
+    shape = _LENGTH_CM**2 + end * (_END_STD * readings.radius) ** 2
+    covariance = (mass[:, None] * off).T @ off + shape * np.eye(3)
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
     felt = sorted({round(readings.stages[s].length, 2) for s in reached})

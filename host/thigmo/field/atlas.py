@@ -182,9 +182,9 @@ class Atlas:
             z.reshape(n, m), white.reshape(n, m, -1), shared.reshape(-1, n, m),
         )  # fmt: skip
 
-    def _apart(self, one: Place, other: Place) -> bool:
-        arcs = abs(one.arc - other.arc) / (_APART[0] * self._arc_step)
-        return max(arcs, abs(one.bend - other.bend) / (_APART[1] * self._bend_step)) > 1
+    def _apart(self, place: Place, other: Place) -> bool:
+        arcs = abs(place.arc - other.arc) / (_APART[0] * self._arc_step)
+        return max(arcs, abs(place.bend - other.bend) / (_APART[1] * self._bend_step)) > 1
 
 
 def _averages(length: float, cell: float, centers: Floats, spans: Floats) -> Floats:

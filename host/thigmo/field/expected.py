@@ -1,4 +1,4 @@
-"""What sweeps that were not made yet would tell of a peg: for plans of where to sweep.
+"""How well planned sweeps would feel and place a peg: for plans of where to sweep.
 
 At each place of a grid over what a side reaches, the mechanics give the readings beside a peg of
 average size, and their derivatives by the peg and by calibration's errors. Sweeps add up their
@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from thigmo.config import RobotConfig, Side
+from thigmo.config import Side
 from thigmo.field.fit import FieldFit
 from thigmo.field.hypotheses import ARC, BEND, PEG, RADIUS_MEAN
 from thigmo.field.readings import Errors, Floats, Readings, Stage
@@ -50,7 +50,7 @@ class ExpectedSweeps:
         self._share, self._precision, self._log_prior = share, precision, log_prior
         self._before, self._length_cm = before, length_cm
 
-    def told_by(self, sweeps: Sequence[int], narrow: float) -> tuple[float, float]:
+    def felt_and_placed(self, sweeps: Sequence[int], narrow: float) -> tuple[float, float]:
         """Shares of pegs within the side's reach that are felt, and that are placed as well.
 
         `sweeps`: their number at each of the lengths. Placed is a peg whose 95 % interval along the
@@ -70,10 +70,10 @@ class ExpectedSweeps:
         return float(self._share[felt].sum()), float(self._share[placed].sum())
 
 
-def expected_sweeps(config: RobotConfig, side: Side, lengths: Sequence[float]) -> ExpectedSweeps:
-    """What sweeps of one side at everted lengths (cm) would tell."""
-    wiring = Wiring.of(config)
-    table, muscle = SensorTable.of(wiring), config.muscle(side)
+def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> ExpectedSweeps:
+    """Expected information of sweeps of one side at everted lengths (cm)."""
+    config, table = wiring.config, SensorTable.laid_out(wiring)
+    muscle = config.muscle(side)
     use = table.usable(side, ~0)
     stages, bends, rates, frames = [], [], [], []
     for length in lengths:
@@ -102,7 +102,7 @@ def expected_sweeps(config: RobotConfig, side: Side, lengths: Sequence[float]) -
         fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
         radius=config.body.radius_cm,
     )
-    errors = stated(config, side, use)
+    errors = stated(wiring, side, use)
     return _expected(_Question(pickle.dumps((readings, errors)), readings, errors))
 
 

@@ -245,7 +245,7 @@ class FieldFit:
         self._drifts = np.zeros(self.on_bend.shape[1], dtype=bool)
         self._drifts[: 1 + zones.shape[1]] = True  # the map's scales
         # Numbers of the errors, first those of all sensors: of the bend, of the gain against a
-        # valid direction, and shared ones; then each sensor's gain, place, zeros and mechanics.
+        # bend sign, and shared ones; then each sensor's gain, place, zeros and mechanics.
         self._against = self.on_bend.shape[1]
         self._gain = self._against + 1 + self._shared.shape[2]
         self._place, self._zero = self._gain + m, self._gain + 2 * m
@@ -292,8 +292,8 @@ class FieldFit:
                 on = slice(first, rows)
                 mean[s, on], shift[s, on] = sweep.readings, sweep.by_place
                 for p, moves in enumerate(chain):
-                    own = slice(OBSTACLE_UNKNOWNS * p, OBSTACLE_UNKNOWNS * (p + 1))
-                    by_q[s, on, :, own] = sweep.by_obstacle[:, :, p, :5] @ moves
+                    unknowns = slice(OBSTACLE_UNKNOWNS * p, OBSTACLE_UNKNOWNS * (p + 1))
+                    by_q[s, on, :, unknowns] = sweep.by_obstacle[:, :, p, :5] @ moves
                 yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
                 by_q[s, on, :, YIELD] = yields
                 if np.isfinite(critical):  # else the base does not fold
@@ -346,7 +346,7 @@ class FieldFit:
             rise = stood * rise + (1 - stood)
             shift = stood * shift
         true = touched + shift * place
-        back = true < 0  # a flex sensor answers less to a bend against its valid direction
+        back = true < 0  # a flex sensor answers less to a bend against its `bend_sign`
         against = np.ones(m) if e.against is None else e.against
         unsure = np.zeros(m) if e.against_error is None else e.against_error
         answer = np.where(back, against + unsure * xi[b], 1.0)

@@ -2,10 +2,10 @@
 
 A contact slides as the body bends on, so a peg's radius and place trade off along a narrow ridge,
 jagged where an end slips off. Starts lie under a large error of the mechanics, under which it is
-smooth; then it is followed from radius to radius. Two pegs, or a wall, are sought where one peg
-does not explain the readings: each everted length by itself says where the pegs of a pair may be,
-and walls are tried on a grid. Samples carry what has no table of its own as well: how
-far gains and maps have drifted, and the mechanics' relative error.
+smooth; then it is followed from radius to radius. Each everted length by itself says where the pegs
+of a pair may be, and a second one is tried on a grid beside the likeliest single one; walls are
+tried on a grid as well. Samples also carry what has no table of its own: how far gains and maps
+have drifted, and the mechanics' relative error.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _SPREAD = 1.15  # of their covariance
 _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
-ROUND, ROUNDS = 60, 10
+ROUND, ROUNDS = 60, 16
 _WALL_ROUNDS = 4  # a wall's tables take ten times as long
 ENOUGH = 50.0  # effective samples
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
@@ -68,6 +68,9 @@ _SIGNS = np.array(list(product((1.0, -1.0), repeat=len(UNSIGNED))))
 # them fitted; radii beside the likeliest at which samples are proposed, as logarithms.
 _PLACES, _PAIRS, _ASIDE = 2, 4, 0.6
 _LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
+# Touches of a second peg beside the likeliest one: arcs over the longest body, bends over the
+# highest.
+_SECONDS = np.linspace(0.25, 1.05, 7), np.linspace(0.15, 0.95, 6)
 # Of the search for a wall: bends over the highest, tilts (rad) and reaches.
 _WALLS = np.linspace(0.1, 0.9, 6), (0.25, 0.6, 0.95, 1.3), (np.log(0.4),)
 
@@ -91,6 +94,12 @@ class Samples:
     def effective(self) -> float:
         """Effective number of samples (Kish)."""
         return float(1 / np.sum(self.weight**2))
+
+    @property
+    def likeliest(self) -> Floats:
+        """(unknowns,) of the sample with the greatest weight."""
+        likeliest: Floats = self.q[int(np.argmax(self.weight))]
+        return likeliest
 
 
 class Search:
@@ -170,25 +179,38 @@ class Search:
                 n += way
         return [nodes[n] for n in sorted(nodes)]
 
-    def pairs(self) -> list[Mode]:
-        """Modes of two pegs: the likeliest one with free radii, and some beside it."""
+    def pairs(self, peg: Floats | None = None) -> list[Mode]:
+        """Modes of two pegs: the likeliest one with free radii, and some beside it.
+
+        `peg`: (7,) likeliest unknowns of a single one, beside which a second one is sought all over
+        the plane.
+        """
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
             alone = FieldFit(self.readings.at_length(length), self.errors)
-            found = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
-            places += [place for place in found if place.gain > _LEAST_PLACE]
+            nearest = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
+            places += [place for place in nearest if place.gain > _LEAST_PLACE]
         touches = sorted({(place.arc, place.bend) for place in places})
-        starts = [
-            np.array([*one, RADIUS_MEAN, *other, RADIUS_MEAN, 0.0, *_LEAST])
-            for one, other in combinations(touches, 2)
+        groups = [
+            [
+                np.array([*first, RADIUS_MEAN, *second, RADIUS_MEAN, 0.0, *_LEAST])
+                for first, second in combinations(touches, 2)
+            ]
         ]
+        if peg is not None:
+            arcs, bends = _SECONDS
+            seconds = product(self.fit.longest * arcs, self.readings.bend.max() * bends)
+            known = peg[:OBSTACLE_UNKNOWNS]
+            groups.append(
+                [np.array([*known, *second, RADIUS_MEAN, 0.0, *_LEAST]) for second in seconds]
+            )
         radii = RADIUS, RADIUS + OBSTACLE_UNKNOWNS
-        best = self._likeliest(PEGS, starts, radii)
-        if best is None:
+        likeliest = [self._likeliest(PEGS, starts, radii) for starts in groups]
+        solved = [self.fit.solve(PEGS, mode.q, mode.xi) for mode in likeliest if mode is not None]
+        shown = [mode for mode in solved if self._shows(mode)]
+        if not shown:
             return []
-        free = self.fit.solve(PEGS, best.q, best.xi)
-        if not self._shows(free):
-            return []
+        free = min(shown, key=lambda mode: mode.cost)
         modes = [free]
         for aside in product((-_ASIDE, _ASIDE), repeat=2):
             q = free.q.copy()
@@ -229,7 +251,7 @@ class Search:
             if hypothesis.possible(q, rough.body):
                 log, xi, _ = rough.evidence(rough.tables(hypothesis, q), rough.free(), passes=1)
                 tried.append((log + hypothesis.log_prior(q, rough.body), q, xi))
-        tried.sort(key=lambda one: -one[0])
+        tried.sort(key=lambda trial: -trial[0])
         shared = tuple(range(OBSTACLE_UNKNOWNS * hypothesis.obstacles, hypothesis.unknowns))
         first = [
             rough.solve(hypothesis, q, xi, passes=6, held=held + shared)
@@ -337,8 +359,8 @@ class Search:
         z = np.linspace(-2.0, 2.0, 9)
         logs = np.array(
             [
-                self.fit.evidence(mode.tables, mode.xi, spread=float(np.exp(SPREAD_STD * one)))[0]
-                for one in z
+                self.fit.evidence(mode.tables, mode.xi, spread=float(np.exp(SPREAD_STD * size)))[0]
+                for size in z
             ]
         )
         logs -= 0.5 * z**2

@@ -84,7 +84,7 @@ class Errors:
     # (m, k) columns of one standard error that sensors share in a sweep, 1/cm
     shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     map: float = 0.08  # of the map's bend in all zones alike, relative: muscles age
-    # (m,) gain against a sensor's valid direction, and its sigma; None: 1 and 0
+    # (m,) gain against a sensor's `bend_sign`, and its sigma; None: 1 and 0
     against: Floats | None = None
     against_error: Floats | None = None
     sweep: float = 0.01  # of the bend's scale from sweep to sweep, relative

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import SIGN, FlexSensor, Muscle, RobotConfig, Side
+from thigmo.config import SIGN, Muscle, RobotConfig, Side
 from thigmo.field.readings import Errors, Floats, Readings, Stage
 from thigmo.mechanics import critical_moment
 from thigmo.robot import Peak, SensorTable, SweepResult
@@ -59,11 +59,9 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
     )
 
 
-def read(
-    sweeps: Sequence[Swept], side: Side, config: RobotConfig
-) -> tuple[Readings, Errors] | None:
+def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings, Errors] | None:
     """Readings of a side's sweeps in their order, with their errors; None where there are none."""
-    table, sign = SensorTable.of(Wiring.of(config)), SIGN[side]
+    config, table, sign = wiring.config, SensorTable.laid_out(wiring), SIGN[side]
     rows: list[_Bin] = []
     scatter = []
     number = 0
@@ -116,7 +114,7 @@ def read(
         half_range=np.array([row.half_range for row in rows]),
         response=sign * np.array([row.response for row in rows]),
     )
-    return readings, stated(config, side, has_reading)
+    return readings, stated(wiring, side, has_reading)
 
 
 class _Rise(NamedTuple):
@@ -157,16 +155,16 @@ def _white(scatter: Floats, stated: Floats) -> Floats:
     )  # fmt: skip
 
 
-def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
+def stated(wiring: Wiring, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
     """Errors of the sensors in `use` as robot.toml states them, with drifts since calibration."""
-    wiring = Wiring.of(config)
-    table, muscle, body = SensorTable.of(wiring), config.muscle(side), config.body
+    config, table = wiring.config, SensorTable.laid_out(wiring)
+    muscle, body = config.muscle(side), config.body
     rows = [sensor for sensor, used in zip(wiring.read_sensors, use, strict=True) if used]
     zero = np.array([sensor.zero_error if sensor else 0.0 for sensor in rows])
     constant, zeroing, sweep = (share * zero for share in _ZERO_PARTS)
     gain = np.array([sensor.gain_error if sensor else 0.0 for sensor in rows])
     drift = np.array([sensor.drift_se if sensor else 0.0 for sensor in rows])
-    one_way = [s if isinstance(s, FlexSensor) and s.valid_direction else None for s in rows]
+    against = np.array([sensor.response_against if sensor else (1.0, 0.0) for sensor in rows])
     shared = table.shared[use]
     return Errors(
         gain=np.hypot(gain, drift),
@@ -178,8 +176,8 @@ def stated(config: RobotConfig, side: Side, use: npt.NDArray[np.bool_]) -> Error
         map_zone=np.hypot([zone.scale_se for zone in muscle.maps], _ZONE_DRIFT),
         map_offset=max(muscle.offset_se, _LEAST_OFFSET),
         map=muscle.drift_se,
-        against=np.array([s.against_gain if s else 1.0 for s in one_way]),
-        against_error=np.array([s.against_gain_se if s else 0.0 for s in one_way]),
+        against=against[:, 0],
+        against_error=against[:, 1],
         sweep=muscle.sweep_se,
         sweep_offset=muscle.sweep_offset_se,
         lag_s=muscle.lag_se_s,

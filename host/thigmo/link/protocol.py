@@ -13,7 +13,7 @@ from thigmo.link.message import PARAMETER_COUNT, PARAMETER_NAMES, Command, Docum
 from thigmo.link.message import Message, OpenDocumented, Parameter, Reply, parameters
 
 PROTOCOL = 1
-SCHEMA_HASH = 0xB282620C
+SCHEMA_HASH = 0xA55E906F
 MAX_WIRE = 96
 MAX_FRAME = 94
 MAX_PAYLOAD = 87
@@ -139,12 +139,15 @@ class StallCause(Documented):  # How a spool_stall was noticed (value of its eve
     SLOW = 1  # The encoder shows a lower speed than the motor has at this duty.
     JUMPS = 2  # The encoder's signals skip a state: edges are lost, or there is noise.
     EVERTED = 3  # Two sensors passed the tip before the encoder had counted that far.
-    # Two sensors passed the tip after the encoder had counted farther: it shows too much, or the
-    # tip was held back and the tail is slack.
+    # Two sensors passed the tip after the encoder had counted farther, or were not met on the way
+    # back: it shows too much, the tip was held back and the tail is slack, or the line has snapped.
     LATE = 4
     # The encoder shows a higher speed than the motor has at this duty, even if the body pulls as
     # hard as it can.
     FAST = 5
+    # Two sensors in the tail passed the tip outwards while the spool wound in: the line has snapped
+    # or the tail has come off.
+    OUTWARDS = 6
 
 
 class SlipCause(Documented):  # How a spool_slip was noticed (value of its event).

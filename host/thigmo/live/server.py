@@ -203,8 +203,7 @@ class PageServer:
         """What is known of the robot, and of an emulated one's room, before the first run."""
         url, config, run = self.options.url, self.options.config, self._run
         if config is not None:
-            self._config = RobotConfig.load(config)
-            run.body = body(Wiring.of(self._config))
+            self._know_robot(RobotConfig.load(config))
         if url is None or url.partition("://")[0] != "emulator":
             return
         with contextlib.suppress(ThigmoError):  # Start tells what is wrong with the scene
@@ -213,13 +212,17 @@ class PageServer:
                 if isinstance(room, Simulated):
                     known = room.truth()
                     if config is None:
-                        self._config = room.config
-                        run.body = body(Wiring.of(room.config))
+                        self._know_robot(room.config)
                     run.length_cm = float(known.length_cm)
                     run.pegs = [
                         {"x_cm": peg.x, "y_cm": peg.y, "radius_cm": peg.radius}
                         for peg in known.pegs
                     ]
+
+    def _know_robot(self, config: RobotConfig) -> None:
+        """Show a robot's body before its first run."""
+        self._config = config
+        self._run.body = body(Wiring.laid_out(config))
 
     # From the run to the pages.
 

@@ -76,10 +76,10 @@ class Mixture {
     edges.reserve(parts.empty() ? 2 : parts[0].moments.size() + 3);
     edges.push_back(within.near);
     for (const auto& [cells, moments] : parts) {
-      const auto from = static_cast<std::ptrdiff_t>(edges.size());
+      const auto earlier = static_cast<std::ptrdiff_t>(edges.size());
       for (const double place : cells->place) add_edge(place - 0.5 * cells->width, within);
       add_edge(cells->place.back() + 0.5 * cells->width, within);
-      std::inplace_merge(edges.begin(), edges.begin() + from, edges.end());
+      std::inplace_merge(edges.begin(), edges.begin() + earlier, edges.end());
     }
     edges.push_back(within.far);
     edges.erase(
@@ -306,8 +306,7 @@ inline void check(const Readings& readings, const Hypothesis& hypothesis, const 
     square += white_residual * white_residual, product += white_residual * before,
         before = white_residual;
   }
-  if (options.direction.rows == 0 && square > 0.0)
-    out.correlation = product / square * std::sqrt(n);
+  if (options.axis.rows == 0 && square > 0.0) out.correlation = product / square * std::sqrt(n);
 }
 
 inline void conclude(Weighing& weighing, const Options& options, Answer& out) {

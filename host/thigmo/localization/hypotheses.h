@@ -186,7 +186,7 @@ class Weighing {
   static constexpr int kNoMark = -1;
 
   std::unique_ptr<Body> body(const Input& in) {
-    if (options_.direction.rows > 0) return std::make_unique<SpaceBody>(readings, in, options_);
+    if (options_.axis.rows > 0) return std::make_unique<SpaceBody>(readings, in, options_);
     return std::make_unique<PlaneBody>(readings, in, options_);
   }
 
@@ -572,16 +572,16 @@ class Weighing {
       }
       const double nothing =
           count == 1 ? 0.0 : kNegligibleShare * std::exp(std::min(matters - log_evidence, 3.0));
-      const auto add = [&](PlaceSets& from, double log_weight, int suspect) {
-        from.solve(nothing);
-        const PlaceSets::Likeliest likeliest = from.likeliest(*read.frame);
+      const auto add = [&](PlaceSets& sets, double log_weight, int suspect) {
+        sets.solve(nothing);
+        const PlaceSets::Likeliest likeliest = sets.likeliest(*read.frame);
         Hypothesis& out = hypotheses.emplace_back(Hypothesis{
-            &kind, log_weight, bent, next, likeliest.misfit, read.levels[from.level].level});
-        out.left = likeliest.left, out.level_shares = from.level_shares();
+            &kind, log_weight, bent, next, likeliest.misfit, read.levels[sets.level].level});
+        out.left = likeliest.left, out.level_shares = sets.level_shares();
         out.mistakes = mistakes_by(out.level_shares);
         out.loads = likeliest.loads, out.forces = body_->forces(out.loads);
-        out.shares = share_out(from, all, nothing);
-        for (const LoadColumns& p : from.load_columns) {
+        out.shares = share_out(sets, all, nothing);
+        for (const LoadColumns& p : sets.load_columns) {
           out.numbers += p.size() + (p.load->where == Load::Where::anywhere);
         }
         if (suspect >= frame_.size())

@@ -51,7 +51,7 @@ struct Options {
   double width_limit;
   double number_level;  // probability of the number, below which nothing is localized
   // Of a body in space: its readings' directions, and what bends it beside contacts.
-  Matrix direction;      // (N, 3) axis of the turn that each measures; none in a plane
+  Matrix axis;           // (N, 3) unit vector of the turn that each measures; none in a plane
   Matrix curvature_map;  // (2 cells, N) the body's bends in each cell, from readings
   Row compliance;        // EI over the stiffness against each component of a moment
   Row weight;            // of a body of length one, over EI
@@ -113,8 +113,7 @@ inline std::pair<InputProblem, double> input_problem(const Input& in, const Opti
   if (tightest * options.radius * options.length > 1.0) return {InputProblem::too_tight, tightest};
   // No body of a lab is a whole ring; one in two units looks like several.
   const double turn = std::abs(sum) / static_cast<double>(finite) * options.length;
-  if (options.direction.rows == 0 && turn > 2.0 * std::numbers::pi)
-    return {InputProblem::curls, turn};
+  if (options.axis.rows == 0 && turn > 2.0 * std::numbers::pi) return {InputProblem::curls, turn};
   // A body that nothing bends reads no constant curvature but zero.
   if (n >= 3 && same && passive && finite == n && in.curvature[0] != 0.0) {
     return {InputProblem::constant, in.curvature[0]};
@@ -170,9 +169,9 @@ inline std::vector<ErrorRow> mistakes(const Readings& readings, const Options& o
     return row;
   };
   // The map a little off, and an offset as large as the noise or twice that.
-  const auto slight = [&](ErrorRow& row, int from) {
+  const auto slight = [&](ErrorRow& row, int first) {
     for (int i = 0; i < n; ++i) {
-      int k = from;
+      int k = first;
       if (!map_stated && bends) row.columns[k++][i] = priors.slight_map * readings.free[i];
       if (!offset_stated && readings.known) {
         row.columns[k++][i] = priors.slight_offset * readings.noise * options.length;
@@ -203,7 +202,7 @@ inline std::vector<ErrorRow> mistakes(const Readings& readings, const Options& o
       if (scaled) far.columns[0][i] = readings.free[i];
       for (int k = 0; k < towards; ++k) {
         const int reading = readings.index[i];
-        far.columns[scaled + k][i] = in_space ? options.direction[reading][k + 1] : 1.0;
+        far.columns[scaled + k][i] = in_space ? options.axis[reading][k + 1] : 1.0;
       }
     }
     if (!in_space) {
@@ -245,7 +244,7 @@ inline Readings normalised(const Input& in, const Options& options) {
   out.given = !in.free.empty();
   std::vector<int> order(in.curvature.size());
   std::iota(order.begin(), order.end(), 0);
-  if (options.direction.rows == 0) {
+  if (options.axis.rows == 0) {
     std::stable_sort(order.begin(), order.end(),
                      [&](int a, int b) { return options.position[a] < options.position[b]; });
   }

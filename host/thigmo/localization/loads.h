@@ -305,9 +305,9 @@ class PlaceSets {
     }
     column_.resize(readings.frame->size(), wide);
     for (std::size_t j = 0; j < load_columns.size(); ++j) {
-      const Matrix& from = load_columns[j].column;
-      for (int i = 0; !twin(j) && i < from.rows; ++i) {
-        std::copy_n(from[i], from.columns, column_[i] + first_[j]);
+      const Matrix& column = load_columns[j].column;
+      for (int i = 0; !twin(j) && i < column.rows; ++i) {
+        std::copy_n(column[i], column.columns, column_[i] + first_[j]);
       }
     }
     levels_.resize(readings.levels.size());
@@ -405,12 +405,12 @@ class PlaceSets {
             }
             continue;
           }
-          for (int j = 0, from = 0; j < contacts; from += load_columns[j++].size()) {
-            const int beyond = from + load_columns[j].size(), across = load_columns[j].across;
+          for (int j = 0, begin = 0; j < contacts; begin += load_columns[j++].size()) {
+            const int beyond = begin + load_columns[j].size(), across = load_columns[j].across;
             Numbers ways[K]{}, moves[K]{}, length{}, standard{}, size, loose, moved_deviation;
-            for (int k = from; k < beyond; ++k) {
-              if (k < from + across) ways[k] = force[k], length += force[k] * force[k];
-              for (int l = from; l < beyond; ++l) {
+            for (int k = begin; k < beyond; ++k) {
+              if (k < begin + across) ways[k] = force[k], length += force[k] * force[k];
+              for (int l = begin; l < beyond; ++l) {
                 moves[k] += normal.lower[std::max(k, l)][std::min(k, l)] * force[l];
               }
               standard += moves[k] * force[k];
@@ -418,7 +418,7 @@ class PlaceSets {
             eliminated.variance(ways, loose), eliminated.variance(moves, moved_deviation);
             loose /= length > 1e-300 ? length : 1e-300 + Numbers{};
             moved_deviation /= standard > 1e-300 ? standard : 1e-300 + Numbers{};
-            size = across == 1 ? force[from] : root(length), standard = root(standard);
+            size = across == 1 ? force[begin] : root(length), standard = root(standard);
             first[j] += weight * size, second[j] += weight * (size * size + loose);
             times[j] += weight * standard,
                 likely[j] += weight * (standard * standard + moved_deviation);
@@ -578,8 +578,8 @@ class PlaceSets {
           }
         });
         const double best = sets.constant + beside.gain + 0.5 * largest(most) + prior;
-        double& to = e < 0 ? out.plain : out.beside[e];
-        to = std::max(to, best);
+        double& bound = e < 0 ? out.plain : out.beside[e];
+        bound = std::max(bound, best);
       }
     }
     return out;
@@ -600,8 +600,8 @@ class PlaceSets {
         const double* product = products[k];
         for (int m = 0; m < padded(); ++m) sets.value[k][m] -= beside.projection * product[m];
         for (int l = 0; l <= k; ++l) {
-          double* to = sets.value[gram(count, k, l)];
-          for (int m = 0; m < padded(); ++m) to[m] -= product[m] * products[l][m];
+          double* value = sets.value[gram(count, k, l)];
+          for (int m = 0; m < padded(); ++m) value[m] -= product[m] * products[l][m];
         }
       }
     }
@@ -671,20 +671,20 @@ class PlaceSets {
     for (int k = 0; k < count; ++k) {
       const auto [b, d] = number_origin_[k];
       const int *right = cell_[b].data(), cells = load_columns[b].cells,
-                from = first_[b] + d * cells;
-      double* __restrict to = out.value[k];
-      for (int s = 0; s < padded(); ++s) to[s] = projection[from + right[s]];
+                offset = first_[b] + d * cells;
+      double* __restrict product = out.value[k];
+      for (int s = 0; s < padded(); ++s) product[s] = projection[offset + right[s]];
       for (int l = 0; l <= k; ++l) {
         const auto [a, c] = number_origin_[l];
         const int *left = cell_[a].data(), rows = load_columns[a].cells,
                   beside = first_[a] + c * rows;
-        to = out.value[gram(count, k, l)];
+        product = out.value[gram(count, k, l)];
         if (a == b) {
-          const double* squares = block(white, from, cells, beside, 0);
-          for (int s = 0; s < padded(); ++s) to[s] = squares[right[s]];
+          const double* squares = block(white, offset, cells, beside, 0);
+          for (int s = 0; s < padded(); ++s) product[s] = squares[right[s]];
         } else {
-          const double* products = block(white, from, cells, beside, rows);
-          for (int s = 0; s < padded(); ++s) to[s] = products[left[s] * cells + right[s]];
+          const double* products = block(white, offset, cells, beside, rows);
+          for (int s = 0; s < padded(); ++s) product[s] = products[left[s] * cells + right[s]];
         }
       }
     }
@@ -703,16 +703,16 @@ class PlaceSets {
   // by an outer product for each error.
   THIGMO_WIDE void take_beside(const Whitened::AtLevel& base, const Products& products,
                                const Whitened::AtLevel& model, Products& out) {
-    const int count = static_cast<int>(number_.size()), from = base.whitener.shared();
-    const int errors = model.whitener.shared() - from;
+    const int count = static_cast<int>(number_.size()), stated = base.whitener.shared();
+    const int errors = model.whitener.shared() - stated;
     out.constant = model.log_density, out.square = model.square;
     out.value.resize(count + count * (count + 1) / 2, padded());
     error_products_.resize(errors + 1, column_.columns);
     set_products_.resize(errors * count, padded());
     products_with(model.precision_weighted.data(), error_products_[errors]);
     for (int e = 0; e < errors; ++e) {
-      products_with(model.whitener.weighted_error(from + e), error_products_[e]);
-      const double scale = std::sqrt(model.whitener.taken(from + e));
+      products_with(model.whitener.weighted_error(stated + e), error_products_[e]);
+      const double scale = std::sqrt(model.whitener.taken(stated + e));
       for (int c = 0; c < column_.columns; ++c) error_products_[e][c] *= scale;
     }
     for (int k = 0; k < count; ++k) {
@@ -721,26 +721,26 @@ class PlaceSets {
                 first = first_[load] + number * load_columns[load].cells;
       for (int e = 0; e <= errors; ++e) {
         const double* of_cell = error_products_[e] + first;
-        double* __restrict to = e < errors ? set_products_[e * count + k] : out.value[k];
-        for (int s = 0; s < padded(); ++s) to[s] = of_cell[cell[s]];
+        double* __restrict cell_product = e < errors ? set_products_[e * count + k] : out.value[k];
+        for (int s = 0; s < padded(); ++s) cell_product[s] = of_cell[cell[s]];
       }
       for (int l = 0; l <= k; ++l) {
-        double* __restrict to = out.value[gram(count, k, l)];
-        std::copy_n(products.value[gram(count, k, l)], padded(), to);
+        double* __restrict set_product = out.value[gram(count, k, l)];
+        std::copy_n(products.value[gram(count, k, l)], padded(), set_product);
         for (int e = 0; e < errors; ++e) {
           const double *product_k = set_products_[e * count + k],
                        *product_l = set_products_[e * count + l];
-          for (int s = 0; s < padded(); ++s) to[s] -= product_k[s] * product_l[s];
+          for (int s = 0; s < padded(); ++s) set_product[s] -= product_k[s] * product_l[s];
         }
       }
     }
   }
 
-  // Products of whitened columns from `beside` on, one in each row, with those from `from` on; of
+  // Products of whitened columns from `beside` on, one in each row, with those from `first` on; of
   // no rows, of those at the same cells. Contacts on the same cells share them.
-  [[gnu::always_inline]] const double* block(const Matrix& white, int from, int cells, int beside,
+  [[gnu::always_inline]] const double* block(const Matrix& white, int first, int cells, int beside,
                                              int rows) {
-    const std::array key{from, beside, rows};
+    const std::array key{first, beside, rows};
     for (const auto& [block_key, start] : blocks_) {
       if (block_key == key) return &both_[start];
     }
@@ -751,9 +751,9 @@ class PlaceSets {
     const int n = white.rows;
     if (rows == 0) std::fill_n(&both_[start], cells, 0.0);
     for (int i = 0; rows == 0 && i < n; ++i) {
-      const double *left = white[i] + from, *right = white[i] + beside;
-      double* __restrict to = &both_[start];
-      for (int m = 0; m < cells; ++m) to[m] += left[m] * right[m];
+      const double *left = white[i] + first, *right = white[i] + beside;
+      double* __restrict product = &both_[start];
+      for (int m = 0; m < cells; ++m) product[m] += left[m] * right[m];
     }
     for (int r = 0; r < rows; ++r) {
       double* __restrict row = &both_[start + static_cast<std::size_t>(r) * cells];
@@ -761,14 +761,14 @@ class PlaceSets {
       for (; m + 12 <= cells; m += 12) {
         Four sum[3]{};
         for (int i = 0; i < n; ++i) {
-          const double *left = white[i] + from + m, factor = white[i][beside + r];
+          const double *left = white[i] + first + m, factor = white[i][beside + r];
           for (int part = 0; part < 3; ++part) sum[part] += factor * four(left + 4 * part);
         }
         for (int part = 0; part < 3; ++part) four(row + m + 4 * part) = sum[part];
       }
       for (; m < cells; ++m) {
         row[m] = 0.0;
-        for (int i = 0; i < n; ++i) row[m] += white[i][from + m] * white[i][beside + r];
+        for (int i = 0; i < n; ++i) row[m] += white[i][first + m] * white[i][beside + r];
       }
     }
     return &both_[start];
@@ -783,15 +783,15 @@ class PlaceSets {
     Row sum(column_.columns);
     for (std::size_t i = 0; i < column.value.size(); ++i) {
       const double share = scale * column.value[i];
-      const double* row = weighted[column.from + static_cast<int>(i)];
+      const double* row = weighted[column.first + static_cast<int>(i)];
       for (int c = 0; c < weighted.columns; ++c) sum[c] += share * row[c];
     }
     for (int k = 0; k < count; ++k) {
       const auto [j, d] = number_origin_[k];
-      const double* from = &sum[first_[j] + d * load_columns[j].cells];
+      const double* cell_sum = &sum[first_[j] + d * load_columns[j].cells];
       const int* cell = cell_[j].data();
-      double* __restrict to = out[k];
-      for (int s = 0; s < padded(); ++s) to[s] = from[cell[s]];
+      double* __restrict product = out[k];
+      for (int s = 0; s < padded(); ++s) product[s] = cell_sum[cell[s]];
     }
   }
 
@@ -931,9 +931,10 @@ inline Shares share_out(const PlaceSets& grid, bool all, double nothing) {
       if (mass < kUnlikely * whole) continue;
       if ((way & (way - 1)) == 0) {  // one at most
         const int only = way ? std::countr_zero(way) : strongest;
-        Alone& to = alone[only][cell[only]];
-        to.mass += mass, to.force += mass * mean[only], to.square += mass * square[only];
-        if (way) to.detected += mass;
+        Alone& marginal = alone[only][cell[only]];
+        marginal.mass += mass, marginal.force += mass * mean[only],
+            marginal.square += mass * square[only];
+        if (way) marginal.detected += mass;
         continue;
       }
       DetectedSet& set = out.sets.emplace_back(DetectedSet{mass, 1.0});

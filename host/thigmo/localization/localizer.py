@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.contact_status import WIDTH_SHARE
 from thigmo.errors import DataError
 from thigmo.localization import _posterior, priors
 from thigmo.localization.batch import BatchResult
@@ -258,7 +259,7 @@ class Localizer:
         check_method(self.method)
         least = 0 if self.method == "posterior" else 1
         contacts = contact_count(known.contacts, self.method, least, _MOST_CONTACTS)
-        radius, limit = priors.TUBE_RADIUS * total, priors.WIDTH_SHARE
+        radius, limit = priors.TUBE_RADIUS * total, WIDTH_SHARE
         if body.tube_radius is not None:
             radius = max(positive(body.tube_radius, "tube_radius"), 1e-6 * total)
         critical, moment = body.critical_curvature, math.inf
@@ -271,9 +272,9 @@ class Localizer:
         held, held_odds = grip(known.held_end)
         slack = positive(body.critical_curvature_error, "critical_curvature_error")
         space = in_space(body, self.sensors, x, widths)
-        if space.direction.size and self.method != "posterior":
+        if space.axis.size and self.method != "posterior":
             raise DataError(f"{self.method} knows no direction", "leave it out, or the method")
-        if space.direction.size and moment < math.inf:
+        if space.axis.size and moment < math.inf:
             raise DataError(
                 "critical_curvature is given, and no fold is weighed in space", "leave it out"
             )

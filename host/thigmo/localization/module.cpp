@@ -20,7 +20,7 @@ using Table = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::c
 template <int Dimensions>
 using Array = nb::ndarray<nb::numpy, double, nb::ndim<Dimensions>>;
 
-Row row(const Numbers& from) { return Row(from.data(), from.data() + from.size()); }
+Row row(const Numbers& numbers) { return Row(numbers.data(), numbers.data() + numbers.size()); }
 
 // A new array that owns its numbers.
 template <int Dimensions>
@@ -32,9 +32,9 @@ Array<Dimensions> array(Row values, const std::array<std::size_t, Dimensions>& s
 }
 Array<1> array(const Row& values) { return array<1>(values, {values.size()}); }
 
-Matrix matrix(const Table& from) {
-  Matrix out(static_cast<int>(from.shape(0)), static_cast<int>(from.shape(1)));
-  std::copy(from.data(), from.data() + out.value.size(), out.value.begin());
+Matrix matrix(const Table& table) {
+  Matrix out(static_cast<int>(table.shape(0)), static_cast<int>(table.shape(1)));
+  std::copy(table.data(), table.data() + out.value.size(), out.value.begin());
   return out;
 }
 
@@ -48,37 +48,37 @@ std::string name_of(const Hypothesis& hypothesis) {
 constexpr std::size_t kOfRow = 27, kContacts = 3, kOfContact = 6;
 
 // Write them in the order in which batch.py names them.
-void write(const Answer& from, double length, double* row, double* contact) {
-  const std::array of_row{static_cast<double>(from.status),
-                          static_cast<double>(from.contacts.size()),
-                          static_cast<double>(from.problem),
-                          from.shows,
-                          from.touched,
-                          from.log_odds,
-                          static_cast<double>(from.discarded),
-                          from.noise,
-                          static_cast<double>(from.end_open),
-                          from.kinked,
-                          from.misfit,
-                          static_cast<double>(from.freedom),
-                          from.correlation,
-                          from.log_evidence,
-                          from.number[0],
-                          from.number[1],
-                          from.number[2],
-                          from.number[3],
-                          from.mistakes[0],
-                          from.mistakes[1],
-                          from.mistakes[2],
-                          from.mistakes[3],
-                          from.mistakes[4],
-                          from.mistakes[5],
-                          from.mistakes[6],
-                          from.mistakes[7],
-                          from.mistakes[8]};
+void write(const Answer& answer, double length, double* row, double* contact) {
+  const std::array of_row{static_cast<double>(answer.status),
+                          static_cast<double>(answer.contacts.size()),
+                          static_cast<double>(answer.problem),
+                          answer.shows,
+                          answer.touched,
+                          answer.log_odds,
+                          static_cast<double>(answer.discarded),
+                          answer.noise,
+                          static_cast<double>(answer.end_open),
+                          answer.kinked,
+                          answer.misfit,
+                          static_cast<double>(answer.freedom),
+                          answer.correlation,
+                          answer.log_evidence,
+                          answer.number[0],
+                          answer.number[1],
+                          answer.number[2],
+                          answer.number[3],
+                          answer.mistakes[0],
+                          answer.mistakes[1],
+                          answer.mistakes[2],
+                          answer.mistakes[3],
+                          answer.mistakes[4],
+                          answer.mistakes[5],
+                          answer.mistakes[6],
+                          answer.mistakes[7],
+                          answer.mistakes[8]};
   static_assert(of_row.size() == kOfRow);
   std::copy(of_row.begin(), of_row.end(), row);
-  for (const DetectedContact& detected : from.contacts) {
+  for (const DetectedContact& detected : answer.contacts) {
     *contact++ = detected.arc * length, *contact++ = detected.force / (length * length);
     *contact++ = detected.low * length, *contact++ = detected.high * length;
     *contact++ = detected.localized, *contact++ = detected.probability;
@@ -90,8 +90,8 @@ void write(const Answer& from, double length, double* row, double* contact) {
 NB_MODULE(_posterior, m) {
   nb::class_<Priors>(m, "Priors").def("__init__", [](Priors* self, nb::dict values) {
     auto* priors = new (self) Priors{};
-    const auto take = [&](const char* name, auto& to) {
-      to = nb::cast<std::decay_t<decltype(to)>>(values[name]);
+    const auto take = [&](const char* name, auto& prior) {
+      prior = nb::cast<std::decay_t<decltype(prior)>>(values[name]);
     };
     take("moments", priors->moments), take("noise_levels", priors->noise_levels);
     take("noise_factors", priors->noise_factors), take("noise_odds", priors->noise_odds);
@@ -222,15 +222,15 @@ NB_MODULE(_posterior, m) {
       .def("__init__",
            [](Options* self, nb::kwargs values) {
              auto* options = new (self) Options{};
-             const auto take = [&]<class T>(const char* name, T& to) {
+             const auto take = [&]<class T>(const char* name, T& option) {
                if constexpr (std::is_same_v<T, Row>) {
-                 to = row(nb::cast<Numbers>(values[name]));
+                 option = row(nb::cast<Numbers>(values[name]));
                } else if constexpr (std::is_same_v<T, Matrix>) {
-                 to = matrix(nb::cast<Table>(values[name]));
+                 option = matrix(nb::cast<Table>(values[name]));
                } else if constexpr (std::is_enum_v<T>) {
-                 to = T(nb::cast<int>(values[name]));
+                 option = T(nb::cast<int>(values[name]));
                } else {
-                 to = nb::cast<T>(values[name]);
+                 option = nb::cast<T>(values[name]);
                }
              };
 #define TAKE(name) take(#name, options->name)
@@ -240,7 +240,7 @@ NB_MODULE(_posterior, m) {
              TAKE(critical), TAKE(critical_error), TAKE(folds_perhaps);
              TAKE(held_end), TAKE(end_odds), TAKE(held_odds), TAKE(contacts);
              TAKE(width_limit), TAKE(number_level);
-             TAKE(direction), TAKE(curvature_map), TAKE(compliance), TAKE(weight), TAKE(priors);
+             TAKE(axis), TAKE(curvature_map), TAKE(compliance), TAKE(weight), TAKE(priors);
 #undef TAKE
              std::tie(options->within.near, options->within.far) =
                  nb::cast<std::pair<double, double>>(values["within"]);
@@ -263,10 +263,10 @@ NB_MODULE(_posterior, m) {
         Row rows(count * kOfRow), contacts(count * kContacts * kOfContact, NAN);
         Row residuals(all ? count * n : 0);
         std::vector<std::string> names(count);
-        const auto pick_row = [](const Table& from, std::size_t m, Row& to) {
-          const std::size_t wide = from.shape(1);
-          const double* first = from.data() + (from.shape(0) == 1 ? 0 : m * wide);
-          to.assign(first, first + wide);
+        const auto pick_row = [](const Table& table, std::size_t m, Row& row) {
+          const std::size_t wide = table.shape(1);
+          const double* first = table.data() + (table.shape(0) == 1 ? 0 : m * wide);
+          row.assign(first, first + wide);
         };
         {
           nb::gil_scoped_release released;

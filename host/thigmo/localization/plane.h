@@ -56,8 +56,8 @@ class PlaneBody : public Body {
     int number = 0;
     const auto fill = [&](const Levers& levers, const Row& unit) {
       for (int i = 0; i < n; ++i) {
-        double* to = p.column[i] + number * cells;
-        for (int m = 0; m < cells; ++m) to[m] = levers.sensor[i][m] * unit[m];
+        double* column = p.column[i] + number * cells;
+        for (int m = 0; m < cells; ++m) column[m] = levers.sensor[i][m] * unit[m];
       }
       for (int m = 0; m < cells; ++m) {
         p.unit[number * cells + m] = unit[m], p.base[number * cells + m] = levers.base[m] * unit[m];

@@ -77,8 +77,6 @@ EXCLUDED = 0.05
 DETECTED = 3.0
 # The same for a held end and for a free one: their prior odds are not known to a factor of ten.
 HELD_EXCLUDED = 0.005
-# A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
-WIDTH_SHARE = 10.0 / 53.0
 # Misfit of a free body less that of a contact, from which the contact is listed whatever its
 # probability: five standard errors.
 FIVE_SIGMA = 25.0
@@ -132,11 +130,6 @@ NOISE_LEVELS = tuple(1.3 * 0.6**level for level in range(9))
 def place_density(place: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Prior density of contacts at places (n,) on the side of a body of length one, in a plane."""
     return 1.0 - SWEPT + 3.0 * SWEPT * place**2
-
-
-def narrow(interval: tuple[float, float], length: float) -> bool:
-    """Whether an interval is short enough, on a body of this length, to count as localized."""
-    return interval[1] - interval[0] <= WIDTH_SHARE * length + 1e-9
 
 
 def compiled() -> _posterior.Priors:

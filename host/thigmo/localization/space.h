@@ -15,7 +15,7 @@
 
 namespace thigmo {
 
-inline Vector vector(const double* from) { return {from[0], from[1], from[2]}; }
+inline Vector vector(const double* numbers) { return {numbers[0], numbers[1], numbers[2]}; }
 inline double dot(const Vector& a, const Vector& b) {
   return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
@@ -95,14 +95,15 @@ class SpaceShape {
   }
 
   // Adds the curvature that a force and a couple at a section cause.
-  void add(const Section& section, const Vector& force, const Vector& couple, Row& to) const {
+  void add(const Section& section, const Vector& force, const Vector& couple,
+           Row& curvature) const {
     const double cells = static_cast<double>(u_.size());
     for (std::size_t c = 0; c < u_.size() && sections_[c].arc < section.arc; ++c) {
       const double before = std::min((section.arc - sections_[c].arc) * cells, 1.0);
       const Vector way = plus(section.position, -1.0, middle_[c].position), arm = cross(way, force);
       const Vector moment = plus(couple, 1.0, arm);
       for (int j = 0; j < 3; ++j) {
-        to[3 * c + j] += before * compliance_[j] * dot(middle_[c].frame[j], moment);
+        curvature[3 * c + j] += before * compliance_[j] * dot(middle_[c].frame[j], moment);
       }
     }
   }
@@ -123,20 +124,20 @@ class SpaceShape {
     Columns3 frame;
     Vector position;
   };
-  void beyond(const Section& from, const Vector& u, double step, Section& out,
+  void beyond(const Section& start, const Vector& u, double step, Section& out,
               Middle* middle) const {
     const double half = 0.5 * step;
     const Columns3 turn = rotation({u[0] * half, u[1] * half, u[2] * half});
-    const Columns3 frame = times(from.frame, turn);
-    const Vector centre = plus(from.position, half, frame[0]);
+    const Columns3 frame = times(start.frame, turn);
+    const Vector centre = plus(start.position, half, frame[0]);
     out.frame = times(frame, turn);
-    out.position = plus(from.position, step, frame[0]);
+    out.position = plus(start.position, step, frame[0]);
     for (int j = 0; j < 3; ++j) {
       const double share = step * compliance_[j];
-      out.turns[j] = plus(from.turns[j], share, frame[j]);
-      out.levers[j] = plus(from.levers[j], share, cross(centre, frame[j]));
+      out.turns[j] = plus(start.turns[j], share, frame[j]);
+      out.levers[j] = plus(start.levers[j], share, cross(centre, frame[j]));
     }
-    out.places = plus(from.places, step, centre);
+    out.places = plus(start.places, step, centre);
     if (middle) *middle = {frame, centre};
   }
 
@@ -149,8 +150,8 @@ class SpaceShape {
 // Directions of the readings on a shape: what turns unit wrenches into readings.
 class Lines {
  public:
-  Lines(const SpaceShape& shape, const Frame& frame, const std::vector<Vector>& direction)
-      : direction_(direction) {
+  Lines(const SpaceShape& shape, const Frame& frame, const std::vector<Vector>& axes)
+      : axes_(axes) {
     for (int i = 0; i < frame.size(); ++i) {
       // A point sensor is a short one.
       const double half = std::max(0.5 * (frame.high[i] - frame.low[i]), 1e-4);
@@ -176,26 +177,26 @@ class Lines {
     const Section middle = shape.at(0.5 * (near_[i].arc + far_[i].arc));
     const Vector ends =
         plus(shape.by_weight(near_[i], weight), 1.0, shape.by_weight(far_[i], weight));
-    return dot(direction_[i], plus(ends, 4.0, shape.by_weight(middle, weight))) / 6.0;
+    return dot(axes_[i], plus(ends, 4.0, shape.by_weight(middle, weight))) / 6.0;
   }
 
  private:
   struct Line {
     Vector turn, lever;
   };
-  Line between(int i, const Section& to) const {
-    const Section& from = near_[i];
-    const Vector& h = direction_[i];
-    const double share = 1.0 / (far_[i].arc - from.arc);
+  Line between(int i, const Section& end) const {
+    const Section& start = near_[i];
+    const Vector& h = axes_[i];
+    const double share = 1.0 / (far_[i].arc - start.arc);
     Line out{};
     for (int j = 0; j < 3; ++j) {
-      out.turn = plus(out.turn, share * h[j], plus(to.turns[j], -1.0, from.turns[j]));
-      out.lever = plus(out.lever, share * h[j], plus(to.levers[j], -1.0, from.levers[j]));
+      out.turn = plus(out.turn, share * h[j], plus(end.turns[j], -1.0, start.turns[j]));
+      out.lever = plus(out.lever, share * h[j], plus(end.levers[j], -1.0, start.levers[j]));
     }
     return out;
   }
 
-  const std::vector<Vector>& direction_;
+  const std::vector<Vector>& axes_;
   std::vector<Section> near_, far_;
   std::vector<Line> line_;
 };
@@ -219,7 +220,7 @@ class SpaceBody : public Body {
         weight_(vector(options.weight.data())) {
     const Frame& frame = readings.frame;
     components = 3;
-    for (const int i : readings.index) direction_.push_back(vector(options.direction[i]));
+    for (const int i : readings.index) axes_.push_back(vector(options.axis[i]));
     // The free body, and that which the readings show: with what is missing as if it were free.
     Row shown(in.curvature.size());
     for (std::size_t i = 0; i < shown.size(); ++i) shown[i] = pick(in.body, i) * options.length;
@@ -227,7 +228,7 @@ class SpaceBody : public Body {
     for (int i = 0; i < frame.size(); ++i) shown[readings.index[i]] += frame.excess[i];
     start = curvature_of(shown);
     if (weighs()) hang(readings);
-    for (const Vector& h : direction_) measured_ |= twists() && h[0] != 0.0;
+    for (const Vector& h : axes_) measured_ |= twists() && h[0] != 0.0;
     turn = turn_of(unweighed_);
   }
 
@@ -239,7 +240,7 @@ class SpaceBody : public Body {
 
   void take(const Row& curvature, double step, const std::vector<PlacedLoad>& loads) override {
     shape_ = bent_to(curvature);
-    lines_.emplace(*shape_, readings_.frame, direction_);
+    lines_.emplace(*shape_, readings_.frame, axes_);
     least_ = std::max(priors_.least_lever * shape_->largest_lever(shape_->end()), 1e-6);
     known_.clear();
     for (int i = 0; weighs() && i < readings_.frame.size(); ++i) {
@@ -268,8 +269,8 @@ class SpaceBody : public Body {
       for (int i = 0; i < p.column.rows; ++i) {
         const auto [force, couple] = lines_->response(i, section);
         for (int k = 0; k < p.size(); ++k) {
-          double& to = p.column[i][k * p.cells + m] = dot(force, wrench.force[k]);
-          if (k > 2) to += dot(couple, wrench.couple[k]);
+          double& response = p.column[i][k * p.cells + m] = dot(force, wrench.force[k]);
+          if (k > 2) response += dot(couple, wrench.couple[k]);
         }
       }
     }
@@ -356,7 +357,7 @@ class SpaceBody : public Body {
       if (change < 1e-6) break;
     }
     const SpaceShape shape = bent_to(hanging);
-    const Lines lines(shape, frame, direction_);
+    const Lines lines(shape, frame, axes_);
     for (int i = 0; i < frame.size(); ++i) {
       hanging_.push_back(lines.by_weight(i, shape, weight_));
       frame.excess[i] -= hanging_[i];
@@ -418,7 +419,7 @@ class SpaceBody : public Body {
       u.insert(u.end(), {cell[0] + kStep * about, cell[1], cell[2]});
     }
     const SpaceShape twisted = bent_to(u);
-    const Lines lines(twisted, readings_.frame, direction_);
+    const Lines lines(twisted, readings_.frame, axes_);
     slope_.assign(n, 0.0);
     known_.resize(n);
     for (const PlacedLoad& placed : loads) {
@@ -440,7 +441,7 @@ class SpaceBody : public Body {
   const Priors& priors_;
   Vector compliance_, weight_;
   double least_ = 0.0;
-  std::vector<Vector> direction_;
+  std::vector<Vector> axes_;
   Row unweighed_;
   Row hanging_;            // what weight adds to the readings of the free body
   bool measured_ = false;  // whether sensors measure a twist

@@ -21,7 +21,7 @@ _SMOOTH = 1e-4  # weight of smoothness between sensors against that of a reading
 class Space(NamedTuple):
     """The compiled code's arguments for a body in space; all are empty for a body in a plane."""
 
-    direction: Array  # (N, 3) axis about which each sensor measures the turn per length
+    axis: Array  # (N, 3) unit vector about which each sensor measures the turn per length
     curvature_map: Array  # (2 cells, N) linear map from readings to both curvatures of each cell
     compliance: Array  # (3,) EI over the stiffness against twist and both bends
     weight: Array  # (3,) weight over EI of a body of length one

@@ -66,15 +66,15 @@ struct Lanes<8> {
 using Four = Lanes<4>::Type;
 using Eight = Lanes<8>::Type;
 template <int N>
-[[gnu::always_inline]] inline const typename Lanes<N>::Type& lanes(const double* from) {
-  return *reinterpret_cast<const typename Lanes<N>::Type*>(from);
+[[gnu::always_inline]] inline const typename Lanes<N>::Type& lanes(const double* number) {
+  return *reinterpret_cast<const typename Lanes<N>::Type*>(number);
 }
 template <int N>
-[[gnu::always_inline]] inline typename Lanes<N>::Type& lanes(double* from) {
-  return *reinterpret_cast<typename Lanes<N>::Type*>(from);
+[[gnu::always_inline]] inline typename Lanes<N>::Type& lanes(double* number) {
+  return *reinterpret_cast<typename Lanes<N>::Type*>(number);
 }
-inline const Four& four(const double* from) { return lanes<4>(from); }
-inline Four& four(double* from) { return lanes<4>(from); }
+inline const Four& four(const double* number) { return lanes<4>(number); }
+inline Four& four(double* number) { return lanes<4>(number); }
 
 // Roots, of zero where a number is less.
 [[gnu::always_inline]] inline Four root(Four value) {

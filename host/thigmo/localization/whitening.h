@@ -37,7 +37,7 @@ struct Level {
 
 // An effect of one standard deviation that is zero but on a few neighbouring readings.
 struct Column {
-  int from;
+  int first;
   Row value;
 };
 
@@ -71,7 +71,7 @@ struct Frame {
   }
   void share(const Column& error) {
     shared.value.resize(shared.value.size() + excess.size());
-    std::copy(error.value.begin(), error.value.end(), shared[shared.rows++] + error.from);
+    std::copy(error.value.begin(), error.value.end(), shared[shared.rows++] + error.first);
   }
 };
 
@@ -135,19 +135,19 @@ class Whitener {
   double square(const Column& shared_column) const {
     double sum = 0.0, before = 0.0;
     for (std::size_t i = 0; i < shared_column.value.size(); ++i) {
-      const std::size_t reading = shared_column.from + i;
+      const std::size_t reading = shared_column.first + i;
       const double value = shared_column.value[i] * inverse_[reading];
       const double white =
           lag_.empty() ? value : innovation_[reading] * (value - lag_[reading] * before);
       sum += white * white, before = value;
     }
-    if (const std::size_t next = shared_column.from + shared_column.value.size();
+    if (const std::size_t next = shared_column.first + shared_column.value.size();
         next < lag_.size()) {
       const double white = innovation_[next] * lag_[next] * before;
       sum += white * white;
     }
     for (int k = 0; k < weighted_.rows; ++k) {
-      const double share = dot(shared_column.value.data(), weighted_[k] + shared_column.from,
+      const double share = dot(shared_column.value.data(), weighted_[k] + shared_column.first,
                                shared_column.value.size());
       sum -= taken_[k] * share * share;
     }
@@ -259,7 +259,7 @@ struct Whitened {
     Beside beside(const Column& column) const {
       const double c = 1.0 + whitener.square(column), scale = 1.0 / std::sqrt(c);
       const double projection =
-          scale * Whitener::dot(column.value.data(), precision_weighted.data() + column.from,
+          scale * Whitener::dot(column.value.data(), precision_weighted.data() + column.first,
                                 column.value.size());
       return {scale, projection, 0.5 * (projection * projection - std::log(c))};
     }

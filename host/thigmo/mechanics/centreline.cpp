@@ -65,12 +65,12 @@ double Centreline::heading_in(int cell, double s) const {
   const double width = b.s - a.s;
   if (width <= 0.0) return a.heading;
   // Hermite's polynomial; the turns of fold and rest shape are added apart, for they have kinks.
-  const double from = a.heading - imposed_turn(a.s);
-  const double to = b.heading - imposed_turn(b.s);
+  const double heading_a = a.heading - imposed_turn(a.s);
+  const double heading_b = b.heading - imposed_turn(b.s);
   const double u = (s - a.s) / width;
   const double v = 1.0 - u;
-  return imposed_turn(s) + from * (1.0 + 2.0 * u) * v * v + to * (1.0 + 2.0 * v) * u * u +
-         width * u * v * (a.curvature * v - b.curvature * u);
+  return imposed_turn(s) + heading_a * (1.0 + 2.0 * u) * v * v +
+         heading_b * (1.0 + 2.0 * v) * u * u + width * u * v * (a.curvature * v - b.curvature * u);
 }
 
 int Centreline::cell_of(double s) const {

@@ -49,11 +49,11 @@ class RestShape {
   const std::vector<Piece>& pieces() const { return pieces_; }
   // Angle between the body at an arc and at its base.
   double turn(double s) const {
-    double from = 0.0, turn = 0.0;
+    double begin = 0.0, turn = 0.0;
     for (const Piece& piece : pieces_) {
-      if (s <= from) break;
-      turn += piece.curvature * (std::min(s, piece.until) - from);
-      from = piece.until;
+      if (s <= begin) break;
+      turn += piece.curvature * (std::min(s, piece.until) - begin);
+      begin = piece.until;
     }
     return turn;
   }

@@ -108,20 +108,20 @@ bool Rod::find_reactions() {
       continue;
     }
     base_moment_ = shot_.base.moment;
-    if (reactions_.folding == 0 && std::fabs(base_moment_) > room_.critical * (1.0 + 1e-12)) {
+    if (reactions_.folding == 0 && std::fabs(base_moment_) > scene_.critical * (1.0 + 1e-12)) {
       reactions_.folding = base_moment_ > 0.0 ? 1 : -1;
       continue;
     }
     if (switch_parts()) continue;
     Gap deepest{0.0, 0.0};
     int overlapping = -1;
-    for (int i = 0; i < static_cast<int>(room_.pegs.size()); ++i) {
-      const Peg& peg = room_.pegs[i];
+    for (int i = 0; i < static_cast<int>(scene_.pegs.size()); ++i) {
+      const Peg& peg = scene_.pegs[i];
       const bool touched = std::any_of(contacts.begin(), contacts.end(),
                                        [i](const Contact& contact) { return contact.peg == i; });
       if (touched && !peg.is_wall()) continue;
       for (int part = 0; part < (peg.is_wall() ? kParts : 1); ++part) {
-        const Gap gap = centreline().gap_to(peg, static_cast<Part>(part), room_.outline());
+        const Gap gap = centreline().gap_to(peg, static_cast<Part>(part), scene_.outline());
         if (gap.distance < deepest.distance && !(touched && already_touched(i, gap.place))) {
           deepest = gap;
           overlapping = i;
@@ -154,7 +154,7 @@ bool Rod::switch_parts() {
   bool switched = false;
   for (std::size_t j = 0; j < reactions_.contacts.size(); ++j) {
     Contact& contact = reactions_.contacts[j];
-    const Peg& wall = room_.pegs[contact.peg];
+    const Peg& wall = scene_.pegs[contact.peg];
     if (!wall.is_wall()) continue;
     const double extent = std::hypot(wall.to_x, wall.to_y);
     const Shot::Touch& touch = shot_.touches[j];
@@ -210,7 +210,7 @@ bool Rod::newton(int& sign) {
       for (int i = 0; i < n; ++i) next[i] = z[i] + shrink * dz[i];
       int i = 1;
       for (const Contact& contact : reactions_.contacts) {
-        const double end = room_.outline().perimeter(room_.pegs[contact.peg].radius);
+        const double end = scene_.outline().perimeter(scene_.pegs[contact.peg].radius);
         next[i] = std::clamp(next[i], 1e-3, end - 1e-3);
         i += contact.part == Part::kStraight ? 3 : 2;
       }
@@ -288,17 +288,17 @@ void Rod::linearise(const std::vector<double>& z) {
   residual_.assign(n, 0.0);
   jacobian_.assign(n * directions, 0.0);
   const Section& base = shot_.base;
-  const double compliance = room_.base_compliance;
+  const double compliance = scene_.base_compliance;
   const double turn = compliance * base.moment - base.heading;
   const Turned world(turn);
   int row = 0;
   for (std::size_t j = 0; j < reactions.contacts.size(); ++j) {
     const Contact& contact = reactions.contacts[j];
-    const Peg& peg = room_.pegs[contact.peg];
+    const Peg& peg = scene_.pegs[contact.peg];
     const bool straight = contact.part == Part::kStraight;
     const Pose& contact_pose = shot_.at[j];
     const Skin on = skin(contact);
-    const Skin slope = room_.outline().slope(contact.place, peg.radius);
+    const Skin slope = scene_.outline().slope(contact.place, peg.radius);
     const Push pushed = push(contact);
     const double along = on.ahead + peg.radius * on.out_t + peg.compliance * pushed.tangential;
     const double aside = on.offset + peg.radius * on.out_n + peg.compliance * pushed.normal;
@@ -353,8 +353,8 @@ void Rod::linearise(const std::vector<double>& z) {
     row += straight ? 3 : 2;
   }
   if (reactions.folding != 0) {
-    const double scale = room_.length * room_.length;
-    residual_[row] = (reactions.folding * base.moment - room_.critical) * scale;
+    const double scale = scene_.length * scene_.length;
+    residual_[row] = (reactions.folding * base.moment - scene_.critical) * scale;
     for (int d = 0; d < directions; ++d) {
       jacobian_[row * directions + d] = reactions.folding * shot_.base_by[d].moment * scale;
     }
@@ -366,7 +366,7 @@ void Rod::linearise(const std::vector<double>& z) {
 std::vector<double> Rod::sensitivity() const {
   const int n = static_cast<int>(residual_.size());
   const int directions = shot_.directions;
-  const int obstacles = static_cast<int>(room_.pegs.size());
+  const int obstacles = static_cast<int>(scene_.pegs.size());
   const int of_body = Sweep::kOfObstacle * obstacles;
   const int parameters = of_body + Sweep::kOfBody;
   std::vector<double> total(directions * parameters, 0.0);
@@ -379,7 +379,7 @@ std::vector<double> Rod::sensitivity() const {
   int row = 0;
   for (std::size_t j = 0; j < reactions_.contacts.size(); ++j) {
     const Contact& contact = reactions_.contacts[j];
-    const Peg& peg = room_.pegs[contact.peg];
+    const Peg& peg = scene_.pegs[contact.peg];
     const Shot::Touch& touch = shot_.touches[j];
     const int of_peg = Sweep::kOfObstacle * contact.peg;
     change(row, of_peg + Sweep::kX) = 1.0;
@@ -417,7 +417,7 @@ std::vector<double> Rod::sensitivity() const {
     }
   }
   if (reactions_.folding != 0)
-    change(row, of_body + Sweep::kCritical) = -room_.length * room_.length;
+    change(row, of_body + Sweep::kCritical) = -scene_.length * scene_.length;
   std::vector<double> matrix(n * n), column(n);
   for (int p = 0; p < parameters; ++p) {
     bool moves = false;
@@ -470,11 +470,11 @@ void Rod::shoot(const Reactions& reactions) {
   shot_.below.clear();
   std::vector<Tangent>& by = shot_.base_by;
   by.clear();  // empty until the outermost contact: beyond, nothing bends the body
-  Section at = Section::at_origin(0.0);
-  const double h = room_.length / room_.cells;
-  double s = room_.length;
+  Section section = Section::at_origin(0.0);
+  const double h = scene_.length / scene_.cells;
+  double s = scene_.length;
   const auto turn_at = [&](double arc) {
-    return room_.natural * arc + fold.turn(arc) + room_.rest.turn(arc);
+    return scene_.natural * arc + fold.turn(arc) + scene_.rest.turn(arc);
   };
   double turned = turn_at(s);
   int k = static_cast<int>(std::ceil(s / h - kTiny)) - 1;
@@ -498,13 +498,13 @@ void Rod::shoot(const Reactions& reactions) {
       if (by.empty()) by.assign(directions, Tangent{});
       const Contact& contact = reactions.contacts[event->contact];
       const Skin& on = event->on;
-      const Skin slope = room_.outline().slope(contact.place, room_.pegs[contact.peg].radius);
+      const Skin slope = scene_.outline().slope(contact.place, scene_.pegs[contact.peg].radius);
       const Push push = this->push(contact);
-      const auto [c, d] = at.toward;
+      const auto [c, d] = section.toward;
       const double force_x = push.tangential * c - push.normal * d;
       const double force_y = push.tangential * d + push.normal * c;
       const double couple = on.ahead * push.normal - on.offset * push.tangential;
-      shot_.at[event->contact] = {at.x, at.y, at.heading};
+      shot_.at[event->contact] = {section.x, section.y, section.heading};
       for (int i = 0; i < directions; ++i) {
         Tangent& t = by[i];
         const bool moves = i == event->unknown + 1;
@@ -512,11 +512,11 @@ void Rod::shoot(const Reactions& reactions) {
         const double step = moves ? slope.arc : 0.0;
         t.x += step * c;
         t.y += step * d;
-        t.heading += step * at.moment;
-        t.moment -= step * (c * at.n_y - d * at.n_x);
+        t.heading += step * section.moment;
+        t.moment -= step * (c * section.n_y - d * section.n_x);
         Tangent& frame = shot_.at_by[event->contact * directions + i];
         frame = t;
-        frame.heading += step * (room_.natural + room_.rest.curvature(s) +
+        frame.heading += step * (scene_.natural + scene_.rest.curvature(s) +
                                  (s < fold.width ? fold.angle / fold.width : 0.0));
         const Push pushed = push_by(contact, event->contact, event->unknown, i, directions);
         t.moment += on.ahead * pushed.normal - on.offset * pushed.tangential;
@@ -526,51 +526,51 @@ void Rod::shoot(const Reactions& reactions) {
         // And back to where it was, now on its near side.
         t.x -= step * c;
         t.y -= step * d;
-        t.heading -= step * (at.moment + couple);
-        t.moment += step * (c * (at.n_y + force_y) - d * (at.n_x + force_x));
+        t.heading -= step * (section.moment + couple);
+        t.moment += step * (c * (section.n_y + force_y) - d * (section.n_x + force_x));
       }
-      at.moment += couple;
-      at.n_x += force_x;
-      at.n_y += force_y;
+      section.moment += couple;
+      section.n_x += force_x;
+      section.n_y += force_y;
     }
     note(shot_.below);
-    nodes_.push_back({s, at.heading, room_.natural + at.moment, at.x, at.y});
+    nodes_.push_back({s, section.heading, scene_.natural + section.moment, section.x, section.y});
     if (s <= 0.0) break;
-    double to = std::max(k * h, 0.0);
+    double next_s = std::max(k * h, 0.0);
     bool on_grid = true;
     const auto stop_at = [&](double arc) {
-      if (arc > to + kTiny) {
-        to = arc;
+      if (arc > next_s + kTiny) {
+        next_s = arc;
         on_grid = false;
       }
     };
     if (event != events.end()) stop_at(event->on.arc);
     if (fold.angle != 0.0 && fold.width < s - kTiny) stop_at(fold.width);
-    for (const RestShape::Piece& piece : room_.rest.pieces()) {
+    for (const RestShape::Piece& piece : scene_.rest.pieces()) {
       if (piece.until < s - kTiny) stop_at(piece.until);
     }
     if (on_grid) --k;
-    const double middle = 0.5 * (s + to);
+    const double middle = 0.5 * (s + next_s);
     const double turned_middle = turn_at(middle);
-    const double turned_end = turn_at(to);
+    const double turned_end = turn_at(next_s);
     if (!by.empty()) {
       for (int i = fold_direction; i <= natural_direction; ++i) {
         by[i].half = turn_by(i, s) - turn_by(i, middle);
-        by[i].full = turn_by(i, s) - turn_by(i, to);
+        by[i].full = turn_by(i, s) - turn_by(i, next_s);
       }
     }
-    at.advance(s - to, turned - turned_middle, turned - turned_end, by);
+    section.advance(s - next_s, turned - turned_middle, turned - turned_end, by);
     turned = turned_end;
-    s = to;
+    s = next_s;
   }
   if (by.empty()) by.assign(directions, Tangent{});
-  shot_.base = at;
+  shot_.base = section;
   std::reverse(nodes_.begin(), nodes_.end());
-  const double turn = room_.base_compliance * at.moment - at.heading;
+  const double turn = scene_.base_compliance * section.moment - section.heading;
   const Turned world(turn);
   for (Node& node : nodes_) {
-    const double dx = node.x - at.x;
-    const double dy = node.y - at.y;
+    const double dx = node.x - section.x;
+    const double dy = node.y - section.y;
     node.x = world.x(dx, dy);
     node.y = world.y(dx, dy);
     node.heading += turn;
@@ -589,7 +589,7 @@ double Rod::slip(const Contact& contact) const {
 
 // Whether larger places lie towards a wall's last end (1) or its first one (-1), where it touches.
 double Rod::way_along(const Contact& contact) const {
-  const Peg& wall = room_.pegs[contact.peg];
+  const Peg& wall = scene_.pegs[contact.peg];
   const Skin on = skin(contact);
   const Turned frame(centreline().pose(on.arc).heading);
   const double onward_x = -frame.y(on.out_t, on.out_n);
@@ -627,7 +627,7 @@ Rod::Push Rod::push_by(const Contact& contact, int index, int unknown, int direc
   if (std::fabs(rubs) < 1.0 && by_along) share_by = -contact.onward * friction_ / kSlipCm;
   Push pushed{-contact.force * share_by * on.out_n, contact.force * share_by * on.out_t};
   if (by_place) {
-    const Skin slope = room_.outline().slope(contact.place, room_.pegs[contact.peg].radius);
+    const Skin slope = scene_.outline().slope(contact.place, scene_.pegs[contact.peg].radius);
     pushed.tangential -= contact.force * (slope.out_t + share * slope.out_n);
     pushed.normal -= contact.force * (slope.out_n - share * slope.out_t);
   }
@@ -638,7 +638,7 @@ Rod::Push Rod::push_by(const Contact& contact, int index, int unknown, int direc
 void Rod::remember_touches() {
   for (std::size_t j = 0; j < reactions_.contacts.size(); ++j) {
     Contact& contact = reactions_.contacts[j];
-    const Peg& peg = room_.pegs[contact.peg];
+    const Peg& peg = scene_.pegs[contact.peg];
     const double heading = centreline().pose(skin(contact).arc).heading;
     const double before = std::isnan(contact.last_heading) ? heading : contact.last_heading;
     const bool straight = contact.part == Part::kStraight;

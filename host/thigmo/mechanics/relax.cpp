@@ -14,24 +14,24 @@ constexpr double kStiff = 0.3;  // of a penalty, 1/cm^3
 
 class Descent {
  public:
-  Descent(const Room& room, std::vector<double> bend, double fold_angle)
-      : room_(room),
-        h_(room.length / room.cells),
-        folds_(std::isfinite(room.critical)),
-        turns_(room.base_compliance > 0.0),
+  Descent(const RodScene& scene, std::vector<double> bend, double fold_angle)
+      : scene_(scene),
+        h_(scene.length / scene.cells),
+        folds_(std::isfinite(scene.critical)),
+        turns_(scene.base_compliance > 0.0),
         unknown_(std::move(bend)),
-        nodes_(room.cells + 1) {
-    for (int i = 0; i < static_cast<int>(room.pegs.size()); ++i) {
-      for (int part = 0; part < (room.pegs[i].is_wall() ? kParts : 1); ++part) {
+        nodes_(scene.cells + 1) {
+    for (int i = 0; i < static_cast<int>(scene.pegs.size()); ++i) {
+      for (int part = 0; part < (scene.pegs[i].is_wall() ? kParts : 1); ++part) {
         stops_.push_back({i, static_cast<Part>(part)});
       }
     }
     hold_.assign(stops_.size(), 0.0);
     gaps_.resize(stops_.size());
     // Breaks the symmetry of a straight rod pushed head-on.
-    for (int i = 0; i < room_.cells; ++i) unknown_[i] += 1e-6 * (i + 1) / room_.cells;
+    for (int i = 0; i < scene_.cells; ++i) unknown_[i] += 1e-6 * (i + 1) / scene_.cells;
     if (folds_) unknown_.push_back(fold_angle);
-    if (turns_) unknown_.push_back(room_.base_compliance * unknown_[0]);
+    if (turns_) unknown_.push_back(scene_.base_compliance * unknown_[0]);
   }
 
   Relaxed run() {
@@ -46,7 +46,7 @@ class Descent {
       if (worst < 1e-6) break;
     }
     Relaxed relaxed{
-        {unknown_.begin(), unknown_.begin() + room_.cells}, fold_angle(unknown_), {}, nodes_};
+        {unknown_.begin(), unknown_.begin() + scene_.cells}, fold_angle(unknown_), {}, nodes_};
     for (std::size_t j = 0; j < hold_.size(); ++j) {
       const Gap& gap = gaps_[j];
       // A wall's end and its straight part may both press where one passes into the other.
@@ -68,13 +68,13 @@ class Descent {
     Part part;
   };
 
-  const Peg& peg(std::size_t stop) const { return room_.pegs[stops_[stop].peg]; }
+  const Peg& peg(std::size_t stop) const { return scene_.pegs[stops_[stop].peg]; }
 
   // A peg that presses: how far each unknown moves the skin away from it.
   using Levers = std::vector<double>;
 
   double fold_angle(const std::vector<double>& unknown) const {
-    return folds_ ? unknown[room_.cells] : 0.0;
+    return folds_ ? unknown[scene_.cells] : 0.0;
   }
 
   double base_turn(const std::vector<double>& unknown) const {
@@ -90,37 +90,37 @@ class Descent {
 
   // Lays the body out, measures all gaps and returns the energy: bending, fold and penalties.
   double lay_out(const std::vector<double>& unknown) {
-    const Fold fold{fold_angle(unknown), 2.0 * room_.tube_radius};
-    Section at = Section::at_origin(base_turn(unknown));
-    double energy = turns_ ? 0.5 * at.heading * at.heading / room_.base_compliance : 0.0;
-    for (int i = 0; i <= room_.cells; ++i) {
+    const Fold fold{fold_angle(unknown), 2.0 * scene_.tube_radius};
+    Section section = Section::at_origin(base_turn(unknown));
+    double energy = turns_ ? 0.5 * section.heading * section.heading / scene_.base_compliance : 0.0;
+    for (int i = 0; i <= scene_.cells; ++i) {
       const double s = i * h_;
       const double bend =
-          0.5 * (unknown[std::max(i - 1, 0)] + unknown[std::min(i, room_.cells - 1)]);
-      nodes_[i] = {s, at.heading, room_.natural + bend, at.x, at.y};
-      if (i == room_.cells) break;
+          0.5 * (unknown[std::max(i - 1, 0)] + unknown[std::min(i, scene_.cells - 1)]);
+      nodes_[i] = {s, section.heading, scene_.natural + bend, section.x, section.y};
+      if (i == scene_.cells) break;
       const auto turned = [&](double arc) {
-        return room_.natural * arc + fold.turn(arc) + room_.rest.turn(arc);
+        return scene_.natural * arc + fold.turn(arc) + scene_.rest.turn(arc);
       };
-      at.moment = unknown[i];
-      at.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_), none_);
+      section.moment = unknown[i];
+      section.advance(-h_, turned(s) - turned(s + 0.5 * h_), turned(s) - turned(s + h_), none_);
       energy += 0.5 * h_ * unknown[i] * unknown[i];
     }
-    if (folds_) energy += room_.critical * (std::hypot(fold.angle, 1e-4) - 1e-4);
-    const Centreline line{nodes_.data(), room_.cells + 1, fold, room_.rest};
+    if (folds_) energy += scene_.critical * (std::hypot(fold.angle, 1e-4) - 1e-4);
+    const Centreline line{nodes_.data(), scene_.cells + 1, fold, scene_.rest};
     for (std::size_t j = 0; j < stops_.size(); ++j) {
-      gaps_[j] = line.gap_to(peg(j), stops_[j].part, room_.outline());
+      gaps_[j] = line.gap_to(peg(j), stops_[j].part, scene_.outline());
       energy += 0.5 * pressing(j) * pressing(j) * softening(j) / kStiff;
     }
     return energy;
   }
 
   Levers levers(std::size_t stop) const {
-    const double width = 2.0 * room_.tube_radius;
-    const Skin on = room_.outline().at(gaps_[stop].place, peg(stop).radius);
+    const double width = 2.0 * scene_.tube_radius;
+    const Skin on = scene_.outline().at(gaps_[stop].place, peg(stop).radius);
     const Pose pose =
-        Centreline{nodes_.data(), room_.cells + 1, {fold_angle(unknown_), width}, room_.rest}.pose(
-            on.arc);
+        Centreline{nodes_.data(), scene_.cells + 1, {fold_angle(unknown_), width}, scene_.rest}
+            .pose(on.arc);
     const double c = std::cos(pose.heading);
     const double d = std::sin(pose.heading);
     const double x = pose.x + on.ahead * c - on.offset * d;
@@ -128,7 +128,7 @@ class Descent {
     const double out_x = on.out_t * c - on.out_n * d;
     const double out_y = on.out_t * d + on.out_n * c;
     Levers levers(unknown_.size(), 0.0);
-    for (int i = 0; i < room_.cells && i * h_ < on.arc; ++i) {
+    for (int i = 0; i < scene_.cells && i * h_ < on.arc; ++i) {
       const double part = std::min(h_, on.arc - i * h_);
       const double u = 0.5 * part / h_;
       const double middle_x = nodes_[i].x + u * (nodes_[i + 1].x - nodes_[i].x);
@@ -136,7 +136,7 @@ class Descent {
       const double lever = out_x * (y - middle_y) - out_y * (x - middle_x);
       levers[i] = part * lever;
       if (folds_) {
-        levers[room_.cells] +=
+        levers[scene_.cells] +=
             std::max(std::min(i * h_ + part, width) - i * h_, 0.0) / width * lever;
       }
     }
@@ -151,19 +151,19 @@ class Descent {
     double damping = 0.0;
     std::vector<double> gradient(n), stiffness(n), step(n), next(n);
     for (int iteration = 0; iteration < most; ++iteration) {
-      for (int i = 0; i < room_.cells; ++i) {
+      for (int i = 0; i < scene_.cells; ++i) {
         gradient[i] = h_ * unknown_[i];
         stiffness[i] = h_ * (1.0 + damping);
       }
       if (folds_) {
-        const double angle = unknown_[room_.cells];
+        const double angle = unknown_[scene_.cells];
         const double root = std::hypot(angle, 1e-4);
-        gradient[room_.cells] = room_.critical * angle / root;
-        stiffness[room_.cells] = room_.critical / root * (1.0 + damping);
+        gradient[scene_.cells] = scene_.critical * angle / root;
+        stiffness[scene_.cells] = scene_.critical / root * (1.0 + damping);
       }
       if (turns_) {
-        gradient.back() = unknown_.back() / room_.base_compliance;
-        stiffness.back() = (1.0 + damping) / room_.base_compliance;
+        gradient.back() = unknown_.back() / scene_.base_compliance;
+        stiffness.back() = (1.0 + damping) / scene_.base_compliance;
       }
       std::vector<Levers> active;
       std::vector<std::size_t> pressed;
@@ -198,9 +198,9 @@ class Descent {
         for (std::size_t r = 0; r < pegs; ++r) step[i] -= active[r][i] * rhs[r];
         step[i] /= -stiffness[i];
         slope += step[i] * gradient[i];
-        const bool cell = i < static_cast<std::size_t>(room_.cells);
+        const bool cell = i < static_cast<std::size_t>(scene_.cells);
         travel += std::fabs(step[i]) *
-                  (cell ? h_ * (room_.length - static_cast<double>(i) * h_) : room_.length);
+                  (cell ? h_ * (scene_.length - static_cast<double>(i) * h_) : scene_.length);
       }
       if (travel < 1e-9 || slope >= 0.0) return;
       double scale = std::min(1.0, 1.0 / travel);
@@ -226,7 +226,7 @@ class Descent {
     }
   }
 
-  const Room& room_;
+  const RodScene& scene_;
   std::vector<Stop> stops_;
   double h_;
   bool folds_, turns_;  // whether the base folds, and turns
@@ -240,8 +240,8 @@ class Descent {
 
 }  // namespace
 
-Relaxed relax(const Room& room, std::vector<double> bend, double fold_angle) {
-  return Descent(room, std::move(bend), fold_angle).run();
+Relaxed relax(const RodScene& scene, std::vector<double> bend, double fold_angle) {
+  return Descent(scene, std::move(bend), fold_angle).run();
 }
 
 }  // namespace thigmo::mechanics

@@ -52,8 +52,8 @@ Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
       choice_(model),
       tolerance_(tolerance),
       friction_(friction),
-      room_{0.0,      0.5 * diameter, critical, 0.0, checked(std::move(pegs)), 0, base_compliance,
-            rounding, std::move(rest)} {
+      scene_{0.0,      0.5 * diameter, critical, 0.0, checked(std::move(pegs)), 0, base_compliance,
+             rounding, std::move(rest)} {
   if (!(cell >= 0.01 && cell <= 10.0)) throw BadInput("cell_cm must lie between 0.01 and 10");
   if (!(friction >= 0.0 && friction <= 2.0)) throw BadInput("friction must lie between 0 and 2");
   if (!(base_compliance >= 0.0 && std::isfinite(base_compliance))) {
@@ -62,14 +62,14 @@ Rod::Rod(double diameter, double critical, std::vector<Peg> pegs, double cell,
   if (!(rounding >= 0.0 && rounding <= 0.5 * diameter)) {
     throw BadInput("the tip's rounding must lie between 0 and the tube's radius");
   }
-  double from = 0.0;
-  for (const RestShape::Piece& piece : room_.rest.pieces()) {
-    if (!(piece.until > from && std::isfinite(piece.until + piece.curvature))) {
+  double begin = 0.0;
+  for (const RestShape::Piece& piece : scene_.rest.pieces()) {
+    if (!(piece.until > begin && std::isfinite(piece.until + piece.curvature))) {
       throw BadInput("the rest curvature's pieces must be finite, and their ends must ascend");
     }
-    from = piece.until;
+    begin = piece.until;
   }
-  if (choice_ == Model::kBeam && !room_.rest.straight()) {
+  if (choice_ == Model::kBeam && !scene_.rest.straight()) {
     throw BadInput("the beam is of a body that is straight at rest");
   }
 }
@@ -81,7 +81,7 @@ void Rod::step(double natural, double length) {
   if (choice_ == Model::kElastica) {
     take_elastica(natural, length);
   } else if (choice_ == Model::kArc) {
-    set_free(arc_nodes(natural, length, cells_for(length), room_.rest), natural, length);
+    set_free(arc_nodes(natural, length, cells_for(length), scene_.rest), natural, length);
   } else if (choice_ == Model::kBeam) {
     try_beam(natural, length, kInfinite);
   } else if (!try_arc(natural, length) &&
@@ -94,27 +94,27 @@ void Rod::step(double natural, double length) {
 // Whether the beam knows all that is in the room: a body that is straight at rest, flat ends, round
 // pegs, and nothing that gives.
 bool Rod::beam_serves() const {
-  return room_.rest.straight() && friction_ == 0.0 && room_.base_compliance == 0.0 &&
-         room_.rounding == 0.0 &&
-         std::none_of(room_.pegs.begin(), room_.pegs.end(),
+  return scene_.rest.straight() && friction_ == 0.0 && scene_.base_compliance == 0.0 &&
+         scene_.rounding == 0.0 &&
+         std::none_of(scene_.pegs.begin(), scene_.pegs.end(),
                       [](const Peg& peg) { return peg.is_wall() || peg.compliance > 0.0; });
 }
 
 // Takes the arc if the body was free, moves little and stays clear of every peg.
 bool Rod::try_arc(double natural, double length) {
   if (touching() > 0) return false;
-  if (!room_.pegs.empty()) {
-    if (room_.length > 0.0 ? travel(natural, length) > kPieceCm : natural != 0.0) return false;
+  if (!scene_.pegs.empty()) {
+    if (scene_.length > 0.0 ? travel(natural, length) > kPieceCm : natural != 0.0) return false;
   }
   return lie_clear(natural, length);
 }
 
 bool Rod::lie_clear(double natural, double length) {
-  std::vector<Node> nodes = arc_nodes(natural, length, cells_for(length), room_.rest);
+  std::vector<Node> nodes = arc_nodes(natural, length, cells_for(length), scene_.rest);
   const Centreline line{
-      nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}, room_.rest};
-  const Outline outline{length, room_.tube_radius, room_.rounding};
-  for (const Peg& peg : room_.pegs) {
+      nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}, scene_.rest};
+  const Outline outline{length, scene_.tube_radius, scene_.rounding};
+  for (const Peg& peg : scene_.pegs) {
     if (line.gap_to(peg, outline).distance <= 0.0) return false;
   }
   set_free(std::move(nodes), natural, length);
@@ -128,13 +128,13 @@ void Rod::set_free(std::vector<Node> nodes, double natural, double length) {
   model_ = Model::kArc;
   status_ = Convergence::kConverged;
   elastica_current_ = false;
-  room_.length = length;
-  room_.natural = natural;
+  scene_.length = length;
+  scene_.natural = natural;
 }
 
 bool Rod::try_beam(double natural, double length, double tolerance) {
-  std::optional<Beam> beam =
-      bend_beam(natural, length, room_.tube_radius, room_.critical, room_.pegs, cells_for(length));
+  std::optional<Beam> beam = bend_beam(natural, length, scene_.tube_radius, scene_.critical,
+                                       scene_.pegs, cells_for(length));
   if (!beam || beam->error_bound > tolerance) return false;
   set_free(std::move(beam->nodes), natural, length);
   reactions_.contacts = std::move(beam->contacts);
@@ -147,8 +147,8 @@ bool Rod::try_beam(double natural, double length, double tolerance) {
 
 void Rod::take_elastica(double natural, double length) {
   if (!elastica_current_) {
-    const double before = room_.natural;
-    const double length_before = room_.length;
+    const double before = scene_.natural;
+    const double length_before = scene_.length;
     if (model_ == Model::kArc && length_before > 0.0) {
       assume_free(before, length_before);
     } else {
@@ -161,8 +161,8 @@ void Rod::take_elastica(double natural, double length) {
 }
 
 void Rod::place(std::vector<Peg> pegs) {
-  const double natural = room_.natural, length = room_.length;
-  room_.pegs = checked(std::move(pegs));
+  const double natural = scene_.natural, length = scene_.length;
+  scene_.pegs = checked(std::move(pegs));
   reset();
   if (length == 0.0 || lie_clear(natural, length)) return;
   step(0.0, length);
@@ -174,8 +174,8 @@ void Rod::reset() {
   forget_equations();
   tip_.reset();
   bend_.clear();
-  room_.length = room_.natural = 0.0;
-  room_.cells = 0;
+  scene_.length = scene_.natural = 0.0;
+  scene_.cells = 0;
   elastica_current_ = false;
   model_ = Model::kArc;
 }
@@ -186,7 +186,7 @@ void Rod::assume_free(double natural, double length) {
 }
 
 void Rod::set_critical(double critical) {
-  room_.critical = critical;
+  scene_.critical = critical;
   if (!std::isfinite(critical)) {
     reactions_.folding = 0;
     reactions_.fold_angle = 0.0;
@@ -203,34 +203,35 @@ void Rod::forget_equations() {
 
 // How far the free tip may be expected to move.
 double Rod::travel(double natural, double length) const {
-  const double longer = std::max(length, room_.length);
-  const double change = std::fabs(natural - room_.natural);
-  return change * longer * longer / 2.0 + std::fabs(length - room_.length);
+  const double longer = std::max(length, scene_.length);
+  const double change = std::fabs(natural - scene_.natural);
+  return change * longer * longer / 2.0 + std::fabs(length - scene_.length);
 }
 
 // The way is cut into pieces in which the free tip would travel at most a centimetre.
 void Rod::follow(double natural, double length) {
-  if (room_.length == 0.0) {
+  if (scene_.length == 0.0) {
     // Start without muscles, except that a rod that no peg can touch starts where it is.
-    const bool free = room_.pegs.empty() && std::fabs(natural) * length < 50.0;
+    const bool free = scene_.pegs.empty() && std::fabs(natural) * length < 50.0;
     advance(free ? natural : 0.0, length, 0.0);
   }
-  const double from = room_.natural, length_from = room_.length;
+  const double natural_before = scene_.natural, length_before = scene_.length;
   const double way = travel(natural, length);
   const int pieces = std::max(1, static_cast<int>(std::ceil(way / kPieceCm)));
   for (int i = 1; i <= pieces; ++i) {
     const double u = static_cast<double>(i) / pieces;
-    advance(from + u * (natural - from), length_from + u * (length - length_from), way / pieces);
+    advance(natural_before + u * (natural - natural_before),
+            length_before + u * (length - length_before), way / pieces);
   }
 }
 
 void Rod::advance(double natural, double length, double travel) {
-  if (length != room_.length) {
+  if (length != scene_.length) {
     remesh(length);
   } else {
-    predict(natural - room_.natural);
+    predict(natural - scene_.natural);
   }
-  room_.natural = natural;
+  scene_.natural = natural;
   solve(travel);
 }
 
@@ -241,14 +242,14 @@ int Rod::cells_for(double length) const {
 void Rod::remesh(double length) {
   const int cells = cells_for(length);
   std::vector<double> bend(cells, 0.0);
-  if (room_.cells > 0) {
-    const double old = room_.length / room_.cells;
+  if (scene_.cells > 0) {
+    const double old = scene_.length / scene_.cells;
     for (int i = 0; i < cells; ++i) {
       const double s = (i + 0.5) * length / cells;
-      if (s <= room_.length - 0.5 * old) bend[i] = interpolated(bend_, 0.5 * old, old, s);
+      if (s <= scene_.length - 0.5 * old) bend[i] = interpolated(bend_, 0.5 * old, old, s);
     }
     // Growth happens at the tip: places counted from the far end of the left side move.
-    const double change = length - room_.length;
+    const double change = length - scene_.length;
     for (Contact& contact : reactions_.contacts) {
       const Kind kind = skin(contact).kind;
       if (kind == Kind::kLeftSide) {
@@ -262,16 +263,16 @@ void Rod::remesh(double length) {
     jacobian_.clear();
   }
   bend_ = std::move(bend);
-  room_.length = length;
-  room_.cells = cells;
+  scene_.length = length;
+  scene_.cells = cells;
 }
 
 void Rod::press(std::vector<Contact> contacts, double fold_angle, double natural, double length) {
   check(natural, length);
   reset();
-  room_.length = length;
-  room_.cells = cells_for(length);
-  room_.natural = natural;
+  scene_.length = length;
+  scene_.cells = cells_for(length);
+  scene_.natural = natural;
   reactions_ = {std::move(contacts), 0, fold_angle};
   shoot(reactions_);
   base_moment_ = shot_.base.moment;
@@ -289,7 +290,7 @@ void Rod::solve(double travel) {
   status_ = Convergence::kConverged;
   if (!converged) {
     status_ = Convergence::kRelaxed;
-    Relaxed relaxed = relax(room_, bend_, fold_before);
+    Relaxed relaxed = relax(scene_, bend_, fold_before);
     nodes_ = relaxed.nodes;
     Reactions near{std::move(relaxed.contacts), 0, 0.0};
     for (Contact& contact : near.contacts) contact.onward = way_along(contact);
@@ -315,27 +316,27 @@ void Rod::solve(double travel) {
   tip_ = nodes_.back();
   // Contact curvature at the cells' middles, for the next relaxation.
   std::size_t k = 0;
-  for (int i = 0; i < room_.cells; ++i) {
-    const double s = (i + 0.5) * room_.length / room_.cells;
+  for (int i = 0; i < scene_.cells; ++i) {
+    const double s = (i + 0.5) * scene_.length / scene_.cells;
     while (k + 2 < nodes_.size() && nodes_[k + 1].s <= s) ++k;
     const double width = nodes_[k + 1].s - nodes_[k].s;
     const double u = width > 0.0 ? (s - nodes_[k].s) / width : 0.0;
     bend_[i] =
-        nodes_[k].curvature + u * (nodes_[k + 1].curvature - nodes_[k].curvature) - room_.natural;
+        nodes_[k].curvature + u * (nodes_[k + 1].curvature - nodes_[k].curvature) - scene_.natural;
   }
 }
 
 // What is known.
 
 Skin Rod::skin(const Contact& contact) const {
-  return room_.outline().at(contact.place, room_.pegs[contact.peg].radius);
+  return scene_.outline().at(contact.place, scene_.pegs[contact.peg].radius);
 }
 
 Centreline Rod::centreline() const {
   return {nodes_.data(),
           static_cast<int>(nodes_.size()),
           {reactions_.fold_angle, diameter()},
-          room_.rest};
+          scene_.rest};
 }
 
 double Rod::axial_push() const {

@@ -50,7 +50,7 @@ struct ContactReport {
 };
 
 // A body, and the room that it lies in.
-struct Room {
+struct RodScene {
   double length, tube_radius, critical;
   double natural;  // curvature, the same all along
   std::vector<Peg> pegs;
@@ -73,7 +73,7 @@ struct Relaxed {
 };
 
 // Walks downhill in energy from the contact curvature of each cell and a fold's angle.
-Relaxed relax(const Room& room, std::vector<double> bend, double fold_angle);
+Relaxed relax(const RodScene& scene, std::vector<double> bend, double fold_angle);
 
 // The derivative of a Section by one unknown, at a fixed arc.
 struct Tangent {
@@ -174,15 +174,15 @@ class Rod {
   double axial_push() const;  // of all pegs on the tip, towards the base
   double base_moment() const { return base_moment_; }
   double fold_angle() const { return reactions_.fold_angle; }
-  double critical() const { return room_.critical; }
+  double critical() const { return scene_.critical; }
   void set_critical(double critical);
-  double diameter() const { return 2.0 * room_.tube_radius; }
-  double base_compliance() const { return room_.base_compliance; }
-  double rounding() const { return room_.rounding; }
-  const RestShape& rest() const { return room_.rest; }
-  Outline outline() const { return room_.outline(); }
-  double length() const { return room_.length; }
-  double natural() const { return room_.natural; }
+  double diameter() const { return 2.0 * scene_.tube_radius; }
+  double base_compliance() const { return scene_.base_compliance; }
+  double rounding() const { return scene_.rounding; }
+  const RestShape& rest() const { return scene_.rest; }
+  Outline outline() const { return scene_.outline(); }
+  double length() const { return scene_.length; }
+  double natural() const { return scene_.natural; }
   Convergence status() const { return status_; }
   Model model() const { return model_; }
   double error_bound() const { return error_bound_; }
@@ -241,7 +241,7 @@ class Rod {
   double tolerance_;
   double friction_;
 
-  Room room_;  // length 0: not placed yet
+  RodScene scene_;  // length 0: not placed yet
   Reactions reactions_;
   std::vector<Node> nodes_;
   double base_moment_ = 0.0;

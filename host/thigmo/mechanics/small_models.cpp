@@ -34,15 +34,15 @@ struct Stop {
 std::vector<Node> chained_arcs(double curvature, double length, int cells, const RestShape& rest) {
   std::vector<Node> nodes{{0.0, 0.0, curvature, 0.0, 0.0}};
   const auto go_to = [&](double s) {
-    const Node from = nodes.back();
-    const double way = s - from.s;
+    const Node last = nodes.back();
+    const double way = s - last.s;
     if (way < 1e-9) return;
     const double half = 0.5 * (curvature + rest.curvature(s)) * way;
     const double chord =
         std::fabs(half) < 1e-4 ? way * (1.0 - half * half / 6.0) : way * std::sin(half) / half;
-    nodes.push_back({s, from.heading + 2.0 * half, curvature,
-                     from.x + chord * std::cos(from.heading + half),
-                     from.y + chord * std::sin(from.heading + half)});
+    nodes.push_back({s, last.heading + 2.0 * half, curvature,
+                     last.x + chord * std::cos(last.heading + half),
+                     last.y + chord * std::sin(last.heading + half)});
   };
   auto piece = rest.pieces().begin();
   for (int i = 1; i <= cells; ++i) {

@@ -29,12 +29,12 @@ Sweep Rod::sweep(const std::vector<double>& naturals, double length,
   Sweep sweep;
   sweep.rows = static_cast<int>(naturals.size());
   sweep.sensors = static_cast<int>(centers.size());
-  sweep.obstacles = static_cast<int>(room_.pegs.size());
+  sweep.obstacles = static_cast<int>(scene_.pegs.size());
   const std::size_t cells = static_cast<std::size_t>(sweep.rows) * sweep.sensors;
   sweep.readings.resize(cells);
   sweep.by_place.resize(cells);
   sweep.by_parameter.resize(cells * sweep.parameters());
-  sweep.contacts.assign(4 * naturals.size() * room_.pegs.size(), kNothing);
+  sweep.contacts.assign(4 * naturals.size() * scene_.pegs.size(), kNothing);
   sweep.approximate.assign(naturals.size(), 0);
   reset();
   double reached = 0.0;  // up to this natural curvature the body has touched nothing
@@ -42,12 +42,12 @@ Sweep Rod::sweep(const std::vector<double>& naturals, double length,
   for (int row = 0; row < sweep.rows; ++row) {
     const double natural = naturals[row];
     if (free || touching() == 0) {
-      const double from = free ? reached : room_.natural;
-      const double way = std::fabs(natural - from) * length * length / 2.0;
+      const double begin = free ? reached : scene_.natural;
+      const double way = std::fabs(natural - begin) * length * length / 2.0;
       const int pieces = std::max(1, static_cast<int>(std::ceil(way)));
       free = true;
       for (int i = 1; i <= pieces && free; ++i) {
-        const double next = from + (natural - from) * i / pieces;
+        const double next = begin + (natural - begin) * i / pieces;
         free = arc_is_clear(next, length);
         if (free) reached = next;
       }
@@ -66,16 +66,16 @@ Sweep Rod::sweep(const std::vector<double>& naturals, double length,
 // A free body that is straight at rest is an arc: whether it is clear of every obstacle follows
 // without laying it out.
 bool Rod::arc_is_clear(double natural, double length) const {
-  const Outline outline{length, room_.tube_radius, room_.rounding};
+  const Outline outline{length, scene_.tube_radius, scene_.rounding};
   const double side = outline.side();
   const double bend = std::max(std::fabs(natural), 1e-9);
   const double turn = bend * side;
   std::vector<Node> nodes;  // of the whole arc, where it is needed
-  for (const Peg& peg : room_.pegs) {
-    if (peg.is_wall() || turn > M_PI || !room_.rest.straight()) {
-      if (nodes.empty()) nodes = arc_nodes(natural, length, cells_for(length), room_.rest);
+  for (const Peg& peg : scene_.pegs) {
+    if (peg.is_wall() || turn > M_PI || !scene_.rest.straight()) {
+      if (nodes.empty()) nodes = arc_nodes(natural, length, cells_for(length), scene_.rest);
       const Centreline line{
-          nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}, room_.rest};
+          nodes.data(), static_cast<int>(nodes.size()), {0.0, diameter()}, scene_.rest};
       if (line.gap_to(peg, outline).distance <= 0.0) return false;
       continue;
     }
@@ -84,16 +84,16 @@ bool Rod::arc_is_clear(double natural, double length) const {
     const double foot = std::atan2(peg.x, 1.0 / bend - y) / bend;
     if (foot >= 0.0 && foot <= side) {
       const double away = std::fabs(std::hypot(peg.x, 1.0 / bend - y) - 1.0 / bend);
-      if (away <= room_.tube_radius + peg.radius) return false;
+      if (away <= scene_.tube_radius + peg.radius) return false;
     }
     const double half = std::sin(0.5 * turn);
     const double dx = peg.x - std::sin(turn) / bend;
     const double dy = y - 2.0 * half * half / bend;
     const double ahead = dx * std::cos(turn) + dy * std::sin(turn);
     if (ahead < 0.0) continue;
-    const double over =
-        std::fabs(dy * std::cos(turn) - dx * std::sin(turn)) - (room_.tube_radius - room_.rounding);
-    if (std::hypot(ahead, std::max(over, 0.0)) <= peg.radius + room_.rounding) return false;
+    const double over = std::fabs(dy * std::cos(turn) - dx * std::sin(turn)) -
+                        (scene_.tube_radius - scene_.rounding);
+    if (std::hypot(ahead, std::max(over, 0.0)) <= peg.radius + scene_.rounding) return false;
   }
   return true;
 }
@@ -101,13 +101,13 @@ bool Rod::arc_is_clear(double natural, double length) const {
 void Rod::read_free(Sweep& sweep, int row, double natural, double length,
                     const std::vector<double>& centers, const std::vector<double>& spans) const {
   const Node ends[] = {{0.0, 0.0, natural, 0.0, 0.0},
-                       {length, natural * length + room_.rest.turn(length), natural, 0.0, 0.0}};
-  const Centreline line{ends, 2, {0.0, diameter()}, room_.rest};
+                       {length, natural * length + scene_.rest.turn(length), natural, 0.0, 0.0}};
+  const Centreline line{ends, 2, {0.0, diameter()}, scene_.rest};
   for (int m = 0; m < sweep.sensors; ++m) {
     double low, high;
     if (!line.cut(centers[m], spans[m], low, high)) continue;
     const int place = row * sweep.sensors + m;
-    const double rest = (room_.rest.turn(high) - room_.rest.turn(low)) / (high - low);
+    const double rest = (scene_.rest.turn(high) - scene_.rest.turn(low)) / (high - low);
     sweep.readings[place] = natural + rest;
     sweep.by_place[place] = mean_by_place(line, centers[m], spans[m], sweep.readings[place]);
   }
@@ -164,7 +164,7 @@ void Rod::read(Sweep& sweep, int row, const std::vector<double>& centers,
     }
   }
   for (const ContactReport& contact : contacts()) {
-    double* out = &sweep.contacts[4 * (row * room_.pegs.size() + contact.peg)];
+    double* out = &sweep.contacts[4 * (row * scene_.pegs.size() + contact.peg)];
     const double force = std::hypot(contact.normal, contact.tangential);
     if (out[3] > force) continue;  // of a wall's contacts the strongest
     out[0] = contact.arc;

@@ -64,6 +64,7 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
         "line_speed_um_s": [round(spool.line_speed_cm_s * 1e4)],
         "pull_duty": pulls,
         "body_pull_n": [ceil(max(body.pull_n(zone.pressure_psi) for zone in body.zones))],
+        "fold_swing_e5": [_limited("fold_swing_e5", body.fold_swing * 1e5)],
         "motor_stall_n": [round(spool.stall_n)],
         "line_rating_n": [round(spool.line_rating_n)],
         "brake_fitted": [int(body.grows and spool.brake)],
@@ -74,6 +75,12 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
             for number in range(len(flex))
         ],
     }
+
+
+def _limited(name: str, value: float) -> int:
+    """A parameter's value, within its limits."""
+    row = wire.PARAMETERS[name]
+    return min(max(round(value), row.low), row.high)
 
 
 def _counts_while(wiring: Wiring, base_input: int) -> int:

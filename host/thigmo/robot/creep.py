@@ -1,7 +1,7 @@
 """Young sensors while the robot stands still: their value at rest, and how well it is known.
 
 A sensor that has just everted creeps back to its straight reading. Readings of the vented robot
-tell its creep long before it has died away (`mechanics.settling`), so that a measurement need not
+show its creep long before it has died away (`mechanics.settling`), so that a measurement need not
 wait: the young sensor counts, from the rest that is predicted for the moment of the measurement,
 with the prediction's standard error added to its noise. Shared by the live robot and the replay.
 """
@@ -31,7 +31,7 @@ class CreepWatch:
     """Follows telemetry through a run; a raw reading sums `oversample` conversions."""
 
     def __init__(self, wiring: Wiring, oversample: int) -> None:
-        self._table = SensorTable.of(wiring, oversample).board
+        self._table = SensorTable.laid_out(wiring, oversample).board
         self._laws = {
             number: Settling(
                 s.settle_tau_s, _TAU_SE * s.settle_tau_s, s.settle_amplitude, _AMPLITUDE_SD

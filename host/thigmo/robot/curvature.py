@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from thigmo.config import SIGN, FibreSensor, Side
+from thigmo.config import SIGN, Side
 from thigmo.reading_errors import shared_errors
 from thigmo.wiring import Wiring
 
@@ -65,16 +65,18 @@ class SensorTable:
     shared: Floats  # (n, k) the rest: columns of one standard error, as `shared_errors` has them
     # side of the body whose muscle wrinkles it: 1 left, -1 right, 0 neither (or no sensor)
     lies: NDArray[np.int64]
-    direction: NDArray[np.int64]  # of bends that it answers to; 0: both
+    bend_sign: NDArray[np.int64]  # of bends that it answers to; 0: both
     healthy: NDArray[np.bool_]  # mask of sensors to use at all
     radius_cm: float  # of the tube
     divider_ohm: float  # the divider's fixed resistor
     oversample: int  # conversions that a raw reading sums
     zero_sum: Floats  # raw readings at the last zeroing; NaN where there is none
+    # time from the gratings' zeros to a reading for which their errors hold, s
+    warm_s: float = np.inf
     strained_s: float = -np.inf  # device time at which the gratings were zeroed
 
     @classmethod
-    def of(cls, wiring: Wiring, oversample: int = 16) -> SensorTable:
+    def laid_out(cls, wiring: Wiring, oversample: int = 16) -> SensorTable:
         """Lay out the robot's sensors in the board's order, without zeros."""
         sensors, config = wiring.read_sensors, wiring.config
         return cls(
@@ -88,12 +90,13 @@ class SensorTable:
             lies=np.array(
                 [int(SIGN[s.side]) if s and s.side and s.wrinkles else 0 for s in sensors]
             ),
-            direction=np.array([s.valid_direction if s else 0 for s in sensors]),
+            bend_sign=np.array([s.bend_sign if s else 0 for s in sensors]),
             healthy=np.array([s is not None and s.usable for s in sensors]),
             radius_cm=config.body.radius_cm,
             divider_ohm=config.board.divider_ohm,
             oversample=oversample,
             zero_sum=np.full(len(sensors), np.nan),
+            warm_s=min((grating.warm_s for grating in config.gratings), default=np.inf),
         )
 
     @property
@@ -122,7 +125,7 @@ class SensorTable:
         """By how much more than stated the temperature may have changed at a device time."""
         if self.inputs == len(self.healthy):
             return 1.0
-        return max(1.0, (t_s - self.strained_s) / FibreSensor.warm_s)
+        return max(1.0, (t_s - self.strained_s) / self.warm_s)
 
     def warmed(self, warmth: float) -> SensorTable:
         """The same with the temperature's error scaled by this factor."""
@@ -185,6 +188,6 @@ class SensorTable:
         direction, and set in `masks` (the board's everted & settled & zeroed bits).
         """
         inactive = self.lies != SIGN[active]
-        answers = np.isin(self.direction, (0, SIGN[active]))
+        answers = np.isin(self.bend_sign, (0, SIGN[active]))
         named = np.array([masks >> n & 1 for n in range(len(self.healthy))], dtype=np.bool_)
         return np.asarray(self.healthy & inactive & answers & named)

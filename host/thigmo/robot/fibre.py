@@ -58,7 +58,7 @@ class Fibre:
         self._zero_ue = np.full(len(self._gratings), np.nan)
 
     def void(self) -> None:
-        """Forget the zeros: a grating lies otherwise after the body has moved through its tip."""
+        """Discard the zeros: gratings lie differently once the body has moved through its tip."""
         self._zero_ue = np.full(len(self._gratings), np.nan)
         self._tell_zeros()
 

@@ -1,4 +1,4 @@
-"""What a robot's sensors read: their zeros, who of them counts, and telemetry averaged in units.
+"""What a robot's sensors read: their zeros, which of them count, and telemetry averaged in units.
 
 `Robot` hands its sensors' commands on to here. Values are in the order of the board's inputs.
 """
@@ -40,7 +40,7 @@ class Readings:
     """
 
     def __init__(self, supervisor: Supervisor, wiring: Wiring) -> None:
-        self.table = self.previous_zeros = SensorTable.of(wiring)
+        self.table = self.previous_zeros = SensorTable.laid_out(wiring)
         self.aside = 0
         self.creep: CreepWatch | None = None
         self.strains = Strains()
@@ -54,7 +54,7 @@ class Readings:
         """Read this robot from now on, without zeros, by what its board sums."""
         self._wiring = wiring
         oversample = 1 << get_parameter(self._link, "oversample_log2")[0]
-        self.table = SensorTable.of(wiring, oversample)
+        self.table = SensorTable.laid_out(wiring, oversample)
         self.aside = 0
 
     def _take_strains(self, line: FibreLine) -> None:

@@ -116,7 +116,7 @@ class Robot(Closing):
         simulated = self._simulated
         self.operator: Operator = simulated.operator if simulated else operator or NoOperator()
         self.known_config: RobotConfig | None = simulated.config if simulated else None
-        self.wiring = Wiring.of(self.known_config or RobotConfig())
+        self.wiring = Wiring.laid_out(self.known_config or RobotConfig())
         self.fibre = FibreGuard(client, self.config, simulated)
         # A board that lives in this process starts again with the next connection.
         address = "" if self.virtual else url
@@ -388,7 +388,7 @@ class Robot(Closing):
         whether the board's configuration changed. Raises ConfigError for a value that the board
         cannot hold, or does not give back; refused while an output is energised.
         """
-        wiring = Wiring.of(config)
+        wiring = Wiring.laid_out(config)
         changed = send_config(self.link, wiring)
         self.wiring = wiring
         self.fibre.use(config)
@@ -679,7 +679,7 @@ class Robot(Closing):
                 raise ConfigError(
                     f"no healthy sensor at the base answers to muscle {muscle.name}: a sweep "
                     "towards it would feel no contact",
-                    "repair a base sensor, or correct its `healthy` and `valid_direction` in "
+                    "repair a base sensor, or correct its `healthy` and `bend_sign` in "
                     "robot.toml; `Robot.press` bends the body without a trigger",
                 )
         if not rising_only:

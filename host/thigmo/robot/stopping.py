@@ -85,8 +85,9 @@ def stop_all() -> list[Stopped]:
 
 
 def way_to(url: str | None, program: int | None = None) -> tuple[WayTo, str]:
-    """How `stop_robot`, or without an address `stop_all`, would reach the robot, and in words what
-    keeps it from that, if anything does. Touches no port: opening it resets a board.
+    """How `stop_robot` would reach a robot, and what prevents it, in words; empty if nothing does.
+
+    Without an address, as for `stop_all`. Touches no port, because opening it resets a board.
     """
     try:
         owned = stop_socket.running() if url is None else stop_socket.owners(url, program)

@@ -1,7 +1,7 @@
-"""A board that is commanded: requests, waiting for activities, and its faults as typed errors.
+"""Commands the board: sends requests, waits for activities, and raises its faults as typed errors.
 
-All waiting is done by reading the link: with the emulator that is what advances time, on hardware
-the heartbeat runs beside it.
+Every wait reads the link. With the emulator this advances time; on hardware the heartbeat runs
+beside it.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ class Supervisor:
     """Commands a board and waits for it.
 
     Attributes:
-        on_wait: called during each wait for the board; an exception ends the wait. They must
-            command nothing.
-        on_status: called with each state that the board was asked for.
+        on_wait: called during each wait for the board; an exception ends the wait. It must
+            not command the board.
+        on_status: called with each state that the board reports on request.
     """
 
     def __init__(self, link: Client, wiring: Wiring, fibre: FibreGuard, address: str = "") -> None:
@@ -69,7 +69,7 @@ class Supervisor:
         self._fault_channels: dict[wire.Fault, int] = {}  # which only their events tell
 
     def use(self, wiring: Wiring) -> None:
-        """Name muscles and sensors by this robot from now on."""
+        """Take the names of muscles and sensors from this robot, from now on."""
         self._wiring = wiring
 
     def status(self) -> RobotStatus:
@@ -112,7 +112,7 @@ class Supervisor:
         self.link.request(wire.Disarm())
 
     def clear_stop(self) -> bool:
-        """End a stop; whether there was one."""
+        """End a latched stop. Returns whether there was one."""
         report = self.link.request(wire.GetStatus())
         if not report.faults & wire.Fault.STOPPED.mask:
             return False
@@ -120,7 +120,7 @@ class Supervisor:
         return True
 
     def vent(self) -> None:
-        """Empty the muscles; does not wait for that."""
+        """Begin to empty the muscles, without waiting until they are empty."""
         self.request(wire.Vent())
 
     def wait_vented(self) -> None:
@@ -145,7 +145,7 @@ class Supervisor:
     # Waiting.
 
     def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
-        """Let time pass with the link alive; with `despite_faults`, a latched fault is no error."""
+        """Wait with the link alive. With `despite_faults`, a latched fault is no error."""
         if despite_faults:
             self.link.wait_for(lambda: False, seconds)
             self.forget()
@@ -156,7 +156,7 @@ class Supervisor:
 
     @contextmanager
     def telemetry_to(self, take: Callable[[TelemetryFrame], None]) -> Iterator[None]:
-        """Hand the telemetry of a `with` block to a function."""
+        """Pass the telemetry that arrives during a `with` block to a function."""
         self.link.on_telemetry.append(take)
         try:
             yield
@@ -164,7 +164,7 @@ class Supervisor:
             self.link.on_telemetry.remove(take)
 
     def _looks(self, seconds: float, each_s: float) -> Iterator[Iterator[wire.Event]]:
-        """Events of each look at the link, whenever messages come and `each_s` at the latest."""
+        """Yield the events received so far, at every message and every `each_s` at least."""
         end = self.link.now() + seconds
         while (left := end - self.link.now()) > 0:
             self.link.poll(min(left, each_s))
@@ -191,9 +191,9 @@ class Supervisor:
                 self._fault_channels[wire.Fault(event.arg)] = event.value
 
     def forget(self) -> None:
-        """Drop what was received and not asked for, before something new is started.
+        """Drop messages that nobody waits for, before something new is started.
 
-        A fault among it needs no attention here: the board refuses to start while it is latched.
+        A fault among them needs no attention here: while it is latched the board refuses to start.
         """
         self._note_channels()
         self.link.events.clear()
@@ -201,7 +201,7 @@ class Supervisor:
     # Commands.
 
     def request(self, command: Command[R]) -> R:
-        """Send a command; a refusal because of a latched fault raises that fault's error.
+        """Send a command. If a latched fault makes the board refuse it, raise that fault's error.
 
         If a live fibre guards this kind of motion, it is refused unless the fibre is read.
         """
@@ -217,7 +217,7 @@ class Supervisor:
             raise
 
     def require_fibre(self) -> Fibre:
-        """As `FibreGuard.require`; if strains are not of now, the robot is made safe first."""
+        """As `FibreGuard.require`. If the strains are out of date, the robot is made safe first."""
         try:
             return self.fibre.require()
         except InterrogatorError as error:
@@ -226,7 +226,7 @@ class Supervisor:
             raise
 
     def start(self, command: Command[Ack]) -> None:
-        """Start an activity; its events are then waited for."""
+        """Start an activity. Then wait for it with `events` or `finish`."""
         self.forget()
         self.request(command)
 
@@ -270,17 +270,17 @@ class Supervisor:
             raise self.fault_error(faults)
 
     def clear_faults(self, *names: str) -> tuple[str, ...]:
-        """Clear latched faults, named or all, whose cause is gone; names those that remain."""
+        """Clear latched faults, named or all, whose cause is gone. Returns those that remain."""
         known = [wire.Fault[name.upper()] for name in names] or list(wire.Fault)
         mask = sum(fault.mask for fault in known)
         remaining = self.link.request(wire.ClearFaults(mask)).detail
         return tuple(fault.key for fault in wire.Fault.from_mask(remaining))
 
     def fault_error(self, faults: Sequence[str]) -> RobotFaultError:
-        """The typed error of latched faults, the first of them in the schema's words.
+        """The typed error of latched faults; its text is the schema's for the first of them.
 
-        A fault of a channel names it, as far as it is known: a flex sensor by its report, a muscle
-        by the channel that the fault's event names.
+        It names the sensor or muscle at fault if that is known: a flex sensor by the board's report
+        of sensors, a muscle by the channel in the fault's event.
         """
         self._note_channels()
         first = wire.Fault[faults[0].upper()]
@@ -299,10 +299,11 @@ class Supervisor:
                 f": {names} (0 = at the base)" if names else " now and then, at present none is"
             )
             cure = cure.replace("in robot.toml", "in robot.toml (healthy = false)")
-            for kind in {type(sensor) for sensor in self._wiring.config.sensors}:
-                for words, other_words in kind.fault_words.items():
-                    problem = problem.replace(words, other_words)
-                    cure = cure.replace(words, other_words)
+            sensors = self._wiring.config.sensors
+            fault_words = dict(pair for sensor in sensors for pair in sensor.fault_words.items())
+            for words, other_words in fault_words.items():
+                problem = problem.replace(words, other_words)
+                cure = cure.replace(words, other_words)
         if first is wire.Fault.SPOOL_SLIP and (hint := _too_strong(self._wiring.config)):
             cure = f"{hint}; {cure}"
         if self._address:
@@ -321,7 +322,7 @@ class Supervisor:
 
 
 def _too_strong(config: RobotConfig) -> str:
-    """What to do if a body pressure pulls harder than the spool's friction holds; else nothing."""
+    """What to do if a body pressure pulls harder than the spool's friction holds; else empty."""
     if config.spool.brake:
         return ""
     highest = max(zone.pressure_psi for zone in config.body.zones)

@@ -75,7 +75,7 @@ def peak_frame(reply: wire.Snapshot, t_s: float, sides: Sequence[Side]) -> Sweep
 
 @dataclass
 class SweepWatcher:
-    """Collects what a sweep tells."""
+    """Collects a sweep's frames, triggers and peaks."""
 
     table: SensorTable
     sensors: int  # mask of the board's that were everted, settled and zeroed when it began

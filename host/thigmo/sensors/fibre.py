@@ -13,13 +13,16 @@ from thigmo.toml_model import Finite, NonNegative, NonZero, Positive
 
 
 class FibreSensor(AnySensor):
-    """One bend at a grating of a multi-core fibre: the strain of its cores in one direction.
+    """The bend in one direction at a grating of a multi-core fibre, by the strain of its cores.
 
-    A grating has two, at different directions. An interrogator reads them, and the board does not.
-    Defaults: an outer core 37 um off the axis, where a bend of 0.01 1/cm strains by 37 microstrain.
+    A grating has two such sensors, in different directions. An interrogator reads them; the board
+    does not. The defaults are of an outer core 37 um off the axis, which a curvature of 0.01 1/cm
+    strains by 37 microstrain.
     """
 
     wrinkles = False
+    on_board = False
+    calibrated_by_file = True
     kind: Literal["fibre"]  # a grating's reading in one direction
     span_cm: NonNegative = 0.5  # length of the grating
     scale_per_ue: NonZero = 2.7e-4  # 1/cm per microstrain; sign included
@@ -31,12 +34,12 @@ class FibreSensor(AnySensor):
     temperature_se: NonNegative = 3e-4
     twist_se_rad: NonNegative = 0.05  # by which the fibre lies turned about its axis
 
-    valid_direction: ClassVar[int] = 0
+    bend_sign: ClassVar[int] = 0
     warm_s: ClassVar[float] = 20.0  # from zeros to a reading, for which `temperature_se` holds
 
     @property
     def gain_error(self) -> float:
-        """One sigma of its scale, relative: what a twist turns out of its direction is lost."""
+        """One sigma of its scale, relative: of calibration, and of a twist of the fibre."""
         return hypot(self.scale_se, 1 - cos(self.twist_se_rad))
 
     @property
@@ -45,12 +48,12 @@ class FibreSensor(AnySensor):
         return hypot(self.noise, self.temperature_se)
 
     def rescale(self, factor: float) -> None:
-        """Let it stand for so much more curvature."""
+        """Multiply the curvature of every reading by a factor."""
         self.scale_per_ue *= factor
 
     @property
     def raw_scale(self) -> float:
-        """Curvature (1/cm) for each microstrain."""
+        """Curvature (1/cm) per microstrain."""
         return self.scale_per_ue
 
     @property
@@ -60,11 +63,11 @@ class FibreSensor(AnySensor):
 
     @property
     def usable(self) -> bool:
-        """Bends out of the plane are only read for the fibre's twist."""
+        """Whether it measures bends in the plane. The others only show the fibre's twist."""
         return self.healthy and self.side is not None
 
     @classmethod
     def shared_errors(cls, sensors: Sequence[Self]) -> Floats:
-        """What the temperature adds is in all gratings of a fibre alike."""
+        """(n, 1) effect of temperature, the same in all gratings of a fibre; (n, 0) if none."""
         warm = np.array([[sensor.temperature_se] for sensor in sensors]).reshape(-1, 1)
         return warm if warm.any() else warm[:, :0]

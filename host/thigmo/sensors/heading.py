@@ -15,63 +15,64 @@ from thigmo.toml_model import Finite, NonNegative, Positive
 
 IMU_CM = 1.2  # length of an IMU's board along the body
 SAME_IMU_CM = 0.05  # places that are nearer are one IMU's
-RAD_PER_OHM = 1e-4  # by which the board's reader of IMUs says a turn
+RAD_PER_OHM = 1e-4  # of a turn, in the resistance that the board reports for it
 
 
 class HeadingSensor(AnySensor):
-    """What the body turns by from one IMU to the next; or from its base, where the span begins.
+    """The turn of the body from one IMU to the next, or from its base to the first one.
 
-    The board's reader of IMUs says the turn as a divider would: by a resistance.
+    The board reads the IMUs and reports the turn as a resistance, as for an input with a divider.
     """
 
     wrinkles = False
     imu_inputs = 1
+    calibrated_by_file = True
     fault_words = {  # noqa: RUF012
         "A flex sensor's circuit is open": "An IMU does not answer",
         "its wire": "the IMUs at both its ends, and their bus",
     }
     kind: Literal["heading"]  # the turn between two IMUs
     span_cm: Positive  # from one IMU to the other
-    scale: Positive = 1.0  # turn over what the IMUs say: how they lie, and their gain
+    scale: Positive = 1.0  # true turn over the measured one: mounting and gain of the IMUs
     scale_se: NonNegative = 0.05  # one sigma of it, relative
-    zero_rad: Finite = 0.0  # turn that they say of the straight body
-    heading_se_rad: NonNegative = 3e-3  # of either IMU: what it drifts by from zeroing to reading
+    zero_rad: Finite = 0.0  # turn that is measured on the straight body
+    heading_se_rad: NonNegative = 3e-3  # drift of either IMU from zeroing to reading, one sigma
     noise: Positive = 1e-4  # 1/cm, white, of an averaged reading
     # Of the IMU at the span's far end: the multiplexer's channel, and its address; 0 = not stated.
     mux_channel: Annotated[int, Field(ge=0, le=7)] = 0
     i2c_address: Annotated[int, Field(ge=0, le=127)] = 0  # on that channel
 
-    valid_direction: ClassVar[int] = 0
-    straight_ohm: ClassVar[float] = 12_000.0  # that the reader says for no turn
+    bend_sign: ClassVar[int] = 0
+    straight_ohm: ClassVar[float] = 12_000.0  # that the board reports for no turn
 
     def rescale(self, factor: float) -> None:
-        """Let it stand for so much more curvature."""
+        """Multiply the curvature of every reading by a factor."""
         self.scale *= factor
 
     @property
     def raw_zero(self) -> float:
-        """What the reader says of the straight body."""
+        """The raw reading of the straight body, ohm."""
         return self.straight_ohm + self.zero_rad / RAD_PER_OHM
 
     @property
     def raw_scale(self) -> float:
-        """Curvature (1/cm) for each ohm that the reader says."""
+        """Curvature (1/cm) per ohm."""
         return self.scale * RAD_PER_OHM / self.span_cm
 
     @property
     def ends_cm(self) -> tuple[float, float]:
-        """Places of its IMUs; 0 is the base, which does not turn."""
+        """Arcs of the IMUs at both ends of its span, cm; 0 is the base, which does not turn."""
         return self.center_cm - self.span_cm / 2, self.center_cm + self.span_cm / 2
 
     @property
     def reading_se(self) -> float:
-        """One sigma of an averaged reading, 1/cm: noise, and what its IMUs drift by."""
+        """One sigma of an averaged reading, 1/cm: its noise and the drift of its IMUs."""
         imus = 1 if self.ends_cm[0] < SAME_IMU_CM else 2
         return hypot(self.noise, self.heading_se_rad * imus**0.5 / self.span_cm)
 
     @classmethod
     def shared_errors(cls, sensors: Sequence[Self]) -> Floats:
-        """An IMU stands between two turns: what it drifts by is in both, with opposite signs."""
+        """(n, k) effect of one sigma of each IMU's drift: opposite signs in the two spans at it."""
         places, imus = imus_of(sensors)
         columns = np.zeros((len(sensors), len(places)))
         for row, (sensor, ends) in enumerate(zip(sensors, imus, strict=True)):
@@ -80,18 +81,18 @@ class HeadingSensor(AnySensor):
 
     @property
     def passes_at(self) -> Passage:
-        """Its farther IMU must not lie in the fold.
+        """The IMU at its far end, which must not lie in the fold.
 
-        An IMU whose turn the board reads as a divider's, not over the bus, looks like a flex sensor
-        that swings from where its span begins, up to a whole span early: it shows no tip.
+        A turn that does not come over the bus swings as soon as the tip reaches the beginning of
+        the span, up to a whole span early, so it does not show where the tip is.
         """
         return Passage(self.ends_cm[1], IMU_CM, self.center_se_cm, seen=self.i2c_address != 0)
 
 
 def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.intp]]:
-    """Places (k,) of IMUs, cm, and the numbers (n, 2) of those where each span begins and ends.
+    """Arcs (k,) of the IMUs, cm, and indices (n, 2) of those where each span begins and ends.
 
-    Spans that meet share one. A place of 0 is the base, which does not turn, and no IMU.
+    Spans that meet share an IMU. An arc of 0 is the base, which does not turn and has no IMU.
     """
     ends = np.array([sensor.ends_cm for sensor in sensors]).reshape(-1, 2)
     ascending = np.sort(ends, axis=None)
@@ -100,10 +101,11 @@ def imus_of(sensors: Sequence[HeadingSensor]) -> tuple[Floats, npt.NDArray[np.in
 
 
 def imu_ends(sensors: Sequence[AnySensor | None]) -> tuple[list[int], list[int]]:
-    """The IMUs where the span on each input begins and ends, as `imu_from` and `imu_to` hold them.
+    """Addresses of the IMUs where the span on each input begins and ends.
 
-    0 is the base, and no IMU. An IMU has the address of the sensor that ends with it: a span that
-    begins where none ends has no address there, and does not count as read over the bus.
+    They are the values of the parameters `imu_from` and `imu_to`. 0 stands for the base, which has
+    no IMU. Each IMU has the address of the sensor whose span ends at it. A span that begins where
+    no other ends has no address there, and is not read over the bus.
     """
     addresses = [
         (sensor.ends_cm[1], sensor.mux_channel << 7 | sensor.i2c_address)

@@ -1,9 +1,9 @@
-"""What a kind of sensor is: its entry in robot.toml, how it reads, and what it may be off by.
+"""What all kinds of sensors have: an entry in robot.toml, a scale and a zero, and their errors.
 
-A kind is a class in a file of this package. `flex` and `heading` hang on the board, which reads
-each as a resistance; `fibre` is read by an interrogator. Nothing outside asks for a kind's name:
-what a kind does differently it answers itself. Its calibration (`calibrate/KIND.py`) and its
-emulation (`emulator/`) build on it.
+Each kind is a class in a file of this package. The board reads `flex` and `heading` sensors as
+resistances; an interrogator reads `fibre` sensors. Other modules do not ask for a kind's name: they
+call these methods, which each kind answers in its own way. Its calibration (`calibrate/KIND.py`)
+and its emulation (`emulator/`) build on it.
 """
 
 from __future__ import annotations
@@ -32,16 +32,20 @@ class Passage(NamedTuple):
 
 
 class AnySensor(Placed):
-    """What every kind has: the mean curvature over a span, and its errors.
+    """A sensor of any kind: it measures the mean curvature over a span.
 
     Class attributes:
-        wrinkles: whether a muscle at its side spoils it.
-        imu_inputs: inputs for IMUs that its board needs.
-        fault_words: what to say of it where the schema speaks of a flex sensor.
+        wrinkles: whether pressure in the muscle at its side spoils its reading.
+        on_board: whether the board reads it; otherwise an interrogator does.
+        imu_inputs: how many of the board's inputs for IMUs one sensor needs.
+        calibrated_by_file: whether bends in a file calibrate it where no muscle bends the body.
+        fault_words: words that replace the schema's, which are about flex sensors, in messages.
     """
 
     wrinkles: ClassVar[bool]
+    on_board: ClassVar[bool] = True
     imu_inputs: ClassVar[int] = 0
+    calibrated_by_file: ClassVar[bool] = False
     fault_words: ClassVar[Mapping[str, str]] = {}
     kind: str  # flex, heading or fibre
     center_cm: Positive  # of its span, from the base
@@ -72,40 +76,60 @@ class AnySensor(Placed):
 
     @abstractmethod
     def rescale(self, factor: float) -> None:
-        """Let it stand for so much more curvature."""
+        """Multiply the curvature of every reading by a factor."""
+
+    def straightened(self, reading: float, rest_curvature: float) -> tuple[Self, float]:
+        """The curvature that a reading since the zero means, with the sensor's errors there.
+
+        `rest_curvature` (1/cm) is that of the body as the sensor was zeroed.
+        """
+        return self, reading
+
+    def quieter(self, factor: float) -> Self:
+        """A copy whose noise, and error of its zero, are a factor smaller."""
+        return self.model_copy(update={"noise": self.noise / factor})
+
+    def count_curvature(self, divider_ohm: float, counts: int) -> float:
+        """Curvature (1/cm) of one of a converter's counts behind a divider; 0 without a divider."""
+        return 0.0
+
+    @property
+    def response_against(self) -> tuple[float, float]:
+        """Response to bends against `bend_sign` over that along it, and one sigma of it."""
+        return 1.0, 0.0
 
     @property
     def usable(self) -> bool:
-        """Whether its readings are to be used at all."""
+        """Whether the robot uses its readings."""
         return self.healthy
 
     @property
     def zero_error(self) -> float:
-        """One sigma of its zero, 1/cm, of its own."""
+        """One sigma of its zero that no other sensor shares, 1/cm."""
         return 0.0
 
     @property
     def gain_error(self) -> float:
-        """One sigma of its scale as it lies in the body, relative."""
+        """One sigma of its scale, mounted in the body, relative."""
         return self.scale_se
 
     @property
     def reading_se(self) -> float:
-        """One sigma of an averaged reading, 1/cm: noise, its zero, and what it shares."""
+        """One sigma of an averaged reading, 1/cm: noise, zero and shared errors."""
         return hypot(self.noise, self.zero_error)
 
     @classmethod
     def shared_errors(cls, sensors: Sequence[Self]) -> Floats:
-        """(n, K) what n sensors of this kind share, at one standard error a column, 1/cm."""
+        """(n, K) effects of K errors that n sensors of this kind share, one sigma each, 1/cm."""
         return np.zeros((len(sensors), 0))
 
     @property
     def passes_at(self) -> Passage:
-        """The part of it that must not lie in the tip's fold, and that swings as the tip passes."""
+        """The part that must not lie in the tip's fold; its reading swings as the tip passes."""
         return Passage(self.center_cm, self.span_cm, self.center_se_cm)
 
     def uncalibrated(self) -> Self:
-        """It before its calibration: at its place, with the kind's default constants."""
+        """A copy as before its calibration: at its place, with the kind's default constants."""
         return type(self)(
             **self.model_dump(include={"direction_deg", "kind", "center_cm", "span_cm"})
         )

@@ -37,7 +37,7 @@ from thigmo.stream.messages import (
     Message,
     Posterior,
 )
-from thigmo.wiring import Wiring, table_key
+from thigmo.wiring import Wiring, beyond_board, table_key
 
 Row = dict[str, Any]
 Named = dict[int, list[tuple[int, str]]]  # place in a message's tuple and name
@@ -162,10 +162,8 @@ def config_in(folder: str | os.PathLike[str]) -> RobotConfig:
 
 def wiring_in(folder: str | os.PathLike[str]) -> Wiring:
     """The wiring of a run folder's robot, or of the default one if no board can hold it."""
-    try:
-        return Wiring.of(config_in(folder))
-    except ConfigError:
-        return Wiring.of(RobotConfig())
+    config = config_in(folder)
+    return Wiring.laid_out(RobotConfig() if beyond_board(config) else config)
 
 
 def _named(wiring: Wiring) -> Named:

@@ -103,7 +103,7 @@ def _thesis_solver(run: RunFolder, obstacle_x_cm: float) -> float:
 
     Stages with fewer readings than the solver needs are skipped, as in the thesis.
     """
-    table = SensorTable.of(Wiring.of(run.read_config()))
+    table = SensorTable.laid_out(Wiring.laid_out(run.read_config()))
     for sweep in recorded_sweeps(run.path):
         triggered = {trigger.side for trigger in sweep.triggers}
         for peak in (peak for peak in sweep.peaks if peak.side in triggered):

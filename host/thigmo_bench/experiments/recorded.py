@@ -129,18 +129,18 @@ def trials(folder: Folder) -> list[Trial]:
     Raises:
         DataError: a line is damaged.
     """
-    rows = folder.kept_rows()
+    rows, wiring = folder.kept_rows(), Wiring.laid_out(folder.config)
     try:
-        return [_trial(row, folder.config, rows) for row in rows]
+        return [_trial(row, wiring, rows) for row in rows]
     except (LookupError, TypeError, ValueError) as error:
         raise DataError(
             f"the table in {folder.path} is damaged: {error!r}", "correct or delete that line"
         ) from error
 
 
-def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
+def _trial(row: Row, wiring: Wiring, rows: Sequence[Row]) -> Trial:
     """A line of the table as a trial with usable sensors only, and free curvature from the map."""
-    table, scale_se = SensorTable.of(Wiring.of(config)), _scale_errors(config)
+    config, table, scale_se = wiring.config, SensorTable.laid_out(wiring), _scale_errors(wiring)
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
     zone = muscle.maps[-1]
@@ -149,13 +149,13 @@ def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     free, is_actuated = 0.0, bool(row["passed_psi"])
     if is_actuated:
         free = sign * zone.inflate.curvature(row[f"{side}_psi"])
-        gain = _gains_at_touch(rows, config, side)
+        gain = _gains_at_touch(rows, wiring, side)
         usable = table.usable(side, row["zeroed"]) & np.isfinite(readings)
         # The zero's noise, and the errors of scale and map at this free curvature.
         extra_variance = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
     else:
         usable, extra_variance = (
-            table.healthy & (table.direction * readings >= 0),
+            table.healthy & (table.bend_sign * readings >= 0),
             np.zeros(readings.size),
         )
     sigma = np.sqrt(table.noise**2 + (scale_se * (readings - free)) ** 2 + extra_variance)[usable]
@@ -173,16 +173,16 @@ def _trial(row: Row, config: RobotConfig, rows: Sequence[Row]) -> Trial:
     )  # fmt: skip
 
 
-def _gains_at_touch(rows: Sequence[Row], config: RobotConfig, side: Side) -> Floats:
+def _gains_at_touch(rows: Sequence[Row], wiring: Wiring, side: Side) -> Floats:
     """(N,) gains of the sensors, from the untouched robot's readings at 6 psi.
 
     As `Specimen.learn_gains`. On a real robot, however, the errors of a reading (zero, hysteresis)
     are much the same in all trials, so that many trials say no more than one.
     """
-    table, muscle = SensorTable.of(Wiring.of(config)), config.muscle(side)
+    table, muscle = SensorTable.laid_out(wiring), wiring.config.muscle(side)
     bent_rows = [row for row in rows if row["side"] == side and row["passed_psi"]]
     zone, sign = muscle.maps[-1], SIGN[side]
-    spread = np.maximum(np.hypot(_scale_errors(config), zone.scale_se), _LEAST_GAIN_SE)
+    spread = np.maximum(np.hypot(_scale_errors(wiring), zone.scale_se), _LEAST_GAIN_SE)
     believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in bent_rows])
     departure = np.mean([row["passed_curvature"][0] for row in bent_rows], axis=0) - believed
     variance = table.noise**2 + muscle.offset_se**2
@@ -190,7 +190,6 @@ def _gains_at_touch(rows: Sequence[Row], config: RobotConfig, side: Side) -> Flo
     return np.asarray(1 + np.nan_to_num(believed * departure / variance / precision))
 
 
-def _scale_errors(config: RobotConfig) -> Floats:
+def _scale_errors(wiring: Wiring) -> Floats:
     """(n,) relative standard error of each sensor's scale; 0 where there is no sensor."""
-    sensors = Wiring.of(config).read_sensors
-    return np.array([sensor.gain_error if sensor else 0.0 for sensor in sensors])
+    return np.array([sensor.gain_error if sensor else 0.0 for sensor in wiring.read_sensors])

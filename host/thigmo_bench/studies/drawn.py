@@ -30,7 +30,7 @@ _ROWS = 48  # bends at which the rod is solved; readings between are interpolate
 _RADII_CM = (0.25, 2.5)
 _NEAREST_CM = 10.0  # no peg is first touched nearer to the base
 _TOUCH = (0.15, 0.85)  # of the highest bend, at which the longest body first touches the peg
-# Drawn for each robot, evenly or one sigma: gain against the valid direction; loop of hysteresis
+# Drawn for each robot, evenly or one sigma: gain against the bend sign; loop of hysteresis
 # over the stated error of the zero; the bend that turns the loop around, 1/cm; relative scale and
 # offset (1/cm) from sweep to sweep; delay that the stated lag lacks, s.
 AGAINST = (0.3, 1.0)
@@ -265,7 +265,7 @@ class _Sensors:
 
     @classmethod
     def draw(cls, kind: Drawn, config: RobotConfig, rng: np.random.Generator) -> _Sensors:
-        rows = Wiring.of(config).read_sensors
+        rows = Wiring.laid_out(config).read_sensors
         inputs = [n for n, sensor in enumerate(rows) if sensor and sensor.side == "right"]
         right_sensors = [sensor for sensor in rows if sensor and sensor.side == "right"]
         count = len(right_sensors)

@@ -18,6 +18,7 @@ import numpy as np
 from thigmo.config import RobotConfig
 from thigmo.emulator.scene import Scene
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
+from thigmo.wiring import Wiring
 from thigmo_bench.studies.drawn import KINDS, DrawnRoom, rooms
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, last, parts, share
 
@@ -74,12 +75,13 @@ def judged(kind: str, seed: int, number: int, room: DrawnRoom, answer: Answer) -
 def _robot() -> tuple[RobotConfig, Answer]:
     """The thesis's robot as its lab calibrated it, and its answers."""
     config = Scene.load("default").believed(3)
+    wiring = Wiring.laid_out(config)
     muscle = config.muscle("left")
     most = max(zone.inflate.curvature(muscle.max_pressure_psi) for zone in muscle.maps)
     atlas = Atlas(config.body.length_cm, _BEND_MARGIN * most)
 
     def answer(sweeps: Sequence[Swept]) -> list[FieldContact]:
-        prepared = read(sweeps, "left", config)
+        prepared = read(sweeps, "left", wiring)
         return [] if prepared is None else contacts(*prepared, atlas)
 
     return config, answer

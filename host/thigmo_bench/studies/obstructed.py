@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from thigmo.mechanics import traced
 from thigmo_bench.studies.rod import Bodies, Floats, solve
 
 Flags = npt.NDArray[np.bool_]
@@ -426,9 +427,7 @@ class Sweeper:
         heading = heading - heading[:, :1] + (body.base_compliance * laid.moment)[:, None]
         step = np.diff(arcs, axis=1)
         middle = 0.5 * (heading[:, 1:] + heading[:, :-1])
-        zero = np.zeros((self.rooms, 1))
-        x = np.concatenate([zero, np.cumsum(step * np.cos(middle), axis=1)], axis=1)
-        y = np.concatenate([zero, np.cumsum(step * np.sin(middle), axis=1)], axis=1)
+        x, y = traced(heading, step)
         flat = (body.radius - body.rounding)[:, None]
         bump = there.radius + body.rounding[:, None]
         quarter = 0.5 * math.pi * bump

@@ -21,6 +21,7 @@ from thigmo.exploration.run import Exploration, Protocol
 from thigmo.record import RunDocument, RunFolder
 from thigmo.robot import connect
 from thigmo.version import VERSION
+from thigmo.wiring import Wiring
 
 
 def explored(
@@ -53,10 +54,11 @@ def explored(
         with folder.open_log(robot.identity, robot.epoch_s) as log:
             if frames:
                 robot.record_frames(log.frame)
-            planner = Planner(used, THESIS if protocol == "thesis" else effort)
+            wiring = Wiring.laid_out(used)
+            planner = Planner(wiring, THESIS if protocol == "thesis" else effort)
             run = Exploration(
                 robot,
-                used,
+                wiring,
                 folder,
                 log,
                 document,

@@ -24,11 +24,11 @@ void require(bool condition) {
   if (!condition) std::abort();
 }
 
-class Board {
+class FuzzedBoard {
  public:
   static constexpr protocol::Board kKind = protocol::Board::kVirtual;
 
-  Board() { std::memset(eeprom_, 0xFF, sizeof eeprom_); }
+  FuzzedBoard() { std::memset(eeprom_, 0xFF, sizeof eeprom_); }
 
   uint32_t micros() { return tick * 1000 + 832; }
   uint16_t micros16() { return static_cast<uint16_t>(micros()); }
@@ -131,8 +131,8 @@ class Input {
 };
 
 struct Rig {
-  Board board;
-  thigmo::Robot<Board> robot{board};
+  FuzzedBoard board;
+  thigmo::Robot<FuzzedBoard> robot{board};
   uint16_t seq = 0;
   thigmo::StopLatch stop;  // as it was at the last look
   bool clearing = false;   // a clear_stop is under way

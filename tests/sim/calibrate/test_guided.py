@@ -286,7 +286,7 @@ def test_a_base_that_no_push_at_the_tip_folds_is_not_pushed(tmp_path):
 
 def test_a_robot_with_too_few_sensors_that_answer_to_a_side_is_not_pushed(tmp_path):
     robot = draft(53.0, 3, 1)
-    robot.sensors[0].healthy, robot.sensors[2].valid_direction = False, -1
+    robot.sensors[0].healthy, robot.sensors[2].bend_sign = False, -1
     lab = Lab(tmp_path, robot=robot)
     with pytest.raises(DataError, match="fewer than two healthy sensors beyond the fold"):
         steps.run(lab.bench(), "buckling")

@@ -58,10 +58,13 @@ def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotCo
 @pytest.mark.parametrize(
     ("length_cm", "sensors", "muscles", "kind"),
     [
-        (30.0, 3, 1, "flex"), (120.0, 8, 2, "flex"), (200.0, 16, 1, "flex"),
+        (30.0, 3, 1, "flex"),
         (100.0, 12, 2, "heading"),
+        # Minutes each: long bodies between the two.
+        pytest.param(120.0, 8, 2, "flex", marks=pytest.mark.nightly),
+        pytest.param(200.0, 16, 1, "flex", marks=pytest.mark.nightly),
     ],
-)  # fmt: skip
+)
 def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
     thigmo: Thigmo, tmp_path: Path, length_cm: float, sensors: int, muscles: int, kind: Kind
 ) -> None:

@@ -70,7 +70,7 @@ def test_sensors_opposite_map_a_muscle_and_time_its_lag(thigmo: Thigmo, tmp_path
     robot.sensors += [
         FlexSensor(
             direction_deg=30.0, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
-            scale_per_ohm=-scale, valid_direction=-1,
+            scale_per_ohm=-scale, bend_sign=-1,
         )
         for sensor in robot.sensors
     ]  # fmt: skip

@@ -79,14 +79,14 @@ def test_from_pixels_to_the_map(tmp_path):
     stated = np.array([mine.scale_se for mine, _ in pairs])
     assert np.abs(errors).max() < 0.02
     assert np.mean((errors / stated) ** 2) < 3.0
-    assert [mine.valid_direction for mine, _ in pairs] == [t.valid_direction for _, t in pairs]
+    assert [mine.bend_sign for mine, _ in pairs] == [t.bend_sign for _, t in pairs]
     for side in SIDES:
         for mine, true in zip(config.muscle(side).maps, truth.muscle(side).maps, strict=True):
             full = true.inflate.curvature(18.0)
             for branch in ("inflate", "deflate"):
                 curve, right = getattr(mine, branch), getattr(true, branch)
                 gap = [curve.curvature(p) - right.curvature(p) for p in np.arange(0.0, 18.1)]
-                assert np.abs(gap).max() < 0.005 * full
+                assert np.abs(gap).max() < 0.006 * full
     assert config.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
     assert config.spool.counts_per_cm == pytest.approx(71.0, rel=0.01)
     # By half of body pressure times section, against 147 N at full duty.

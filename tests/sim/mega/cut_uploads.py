@@ -29,7 +29,7 @@ def pages(blocks: list[tuple[int, bytes]]) -> Pages:
 
 
 @dataclass
-class Board:
+class UploadedBoard:
     """A chip whose flash is set and which is then powered on."""
 
     chip: Chip = field(default_factory=Chip)

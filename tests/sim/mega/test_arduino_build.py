@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from cut_uploads import Board, mixtures, pages, some
+from cut_uploads import UploadedBoard, mixtures, pages, some
 
 from thigmo.emulator import mega_build
 from thigmo.emulator.mega_sim import SimulatedMega
@@ -105,7 +105,7 @@ def test_a_cut_upload_of_the_sketch_starts_nothing_once_page_1_is_written(
         )
     entry = max(new)  # its page is not run before a watchdog bites, and avrdude verifies it
     program = {number: page for number, page in new.items() if number != entry}
-    board = Board()
+    board = UploadedBoard()
     for written, state, flash in mixtures(old, new, cuts=some(len(new))):
         if written == 1 and state != "whole":
             continue  # page 1 while it is written: old pages run, which README says is not covered

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from cut_uploads import Board, mixtures, pages, some
+from cut_uploads import UploadedBoard, mixtures, pages, some
 
 from thigmo.emulator import mega_build
 from thigmo.link.flash import in_safe_order
@@ -50,8 +50,8 @@ def build(name: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def board() -> Board:
-    return Board()
+def board() -> UploadedBoard:
+    return UploadedBoard()
 
 
 @cache
@@ -67,7 +67,7 @@ def today() -> list[tuple[int, bytes]]:
 @pytest.mark.parametrize("cuts", ["some", pytest.param("all", marks=pytest.mark.ci)])
 @pytest.mark.parametrize("under", UNDER)
 def test_a_cut_upload_in_rising_order_starts_nothing_once_page_1_is_written(
-    under: str, cuts: str, board: Board
+    under: str, cuts: str, board: UploadedBoard
 ) -> None:
     old, new = pages(blocks(under)), pages(today())
     chosen = some(len(new)) if cuts == "some" else ()
@@ -80,7 +80,7 @@ def test_a_cut_upload_in_rising_order_starts_nothing_once_page_1_is_written(
 
 @pytest.mark.parametrize("under", UNDER)
 def test_a_cut_upload_in_rising_order_energises_nothing_before_page_1_is_written(
-    under: str, board: Board
+    under: str, board: UploadedBoard
 ) -> None:
     """Not by design: parts of the old image may run, and these do no harm for 3 s."""
     for written, state, flash in mixtures(pages(blocks(under)), pages(today()), cuts=range(2)):
@@ -89,7 +89,7 @@ def test_a_cut_upload_in_rising_order_energises_nothing_before_page_1_is_written
 
 
 @pytest.mark.parametrize("at", [4, 600, 60_000, WATCHDOG_ENTRY])
-def test_a_change_that_a_crc_16_does_not_see_starts_nothing(at: int, board: Board) -> None:
+def test_a_change_that_a_crc_16_does_not_see_starts_nothing(at: int, board: UploadedBoard) -> None:
     flash = pages(today())
     number, place = divmod(at, PAGE)
     page = bytearray(flash[number])
@@ -108,7 +108,7 @@ def test_a_change_that_a_crc_16_does_not_see_starts_nothing(at: int, board: Boar
     + [("under", other) for other in UNDER if other != "blank"],
 )
 def test_thigmo_flash_that_is_cut_starts_nothing(
-    other: str, way: str, cuts: str, board: Board
+    other: str, way: str, cuts: str, board: UploadedBoard
 ) -> None:
     """Today's image over another one, and another one over today's."""
     old, new = (blocks(other), today()) if way == "over" else (today(), blocks(other))

@@ -64,7 +64,7 @@ class String:
     @property
     def inputs(self) -> list[int]:
         """Inputs of the spans, base first."""
-        (column,) = Wiring.of(self.transport.config).columns
+        (column,) = Wiring.laid_out(self.transport.config).columns
         return column.inputs
 
     @property
@@ -279,7 +279,8 @@ def test_an_old_store_refuses_to_arm_until_the_host_writes_the_addresses(string:
     old = MicroPythonBoard(5, _without(string.board.eeprom, addresses), large=True)
     scene = string.transport.scene
     transport = EmulatorTransport(scene, old, seed=3)
-    old.bus = string_bus(scene.robot, transport.lockstep.plant.imus)
+    plant = transport.lockstep.plant
+    old.bus = string_bus(plant.wiring, plant.imus)
     robot = Robot(client := Client(transport))
     transport.pass_time(0.5)
     report = client.request(wire.GetConfigReport())

@@ -19,7 +19,7 @@ from thigmo.calibrate.actuator import (
 from thigmo.calibrate.flex_lines import loop_turns
 from thigmo.calibrate.lag import fit_lag
 from thigmo.calibrate.step_figures import draw
-from thigmo.config import SIDES, FlexSensor, Muscle, RobotConfig, TanhMap, ZoneMap
+from thigmo.config import SIDES, FlexSensor, Muscle, MuscleMap, RobotConfig, TanhMap
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
 from thigmo.wiring import Wiring
@@ -38,8 +38,8 @@ def test_both_branches_within_half_a_percent_without_trial_offsets(side):
     for seed in range(6):
         result = fit_actuator(bends(seed, side, sigma=1e-4, offset=0.0))
         assert result.verdict.good, result.verdict
-        assert worst(result.zone.inflate, INFLATE) < 0.005 * result.full_scale
-        assert worst(result.zone.deflate, DEFLATE) < 0.005 * result.full_scale
+        assert worst(result.muscle_map.inflate, INFLATE) < 0.005 * result.full_scale
+        assert worst(result.muscle_map.deflate, DEFLATE) < 0.005 * result.full_scale
 
 
 CATHETER = Path(__file__).resolve().parents[3] / "docs" / "robots" / "catheter.toml"
@@ -49,7 +49,7 @@ def test_errors_of_g_agree_with_the_stated_ones():
     misses = []
     for seed in range(40):
         result = fit_actuator(bends(seed, offset=0.0))
-        error = worst(result.zone.inflate, INFLATE)
+        error = worst(result.muscle_map.inflate, INFLATE)
         misses.append(error / result.g_se)
     # g_se is the largest standard error over both branches: the largest error over the grid is
     # about one to two of it.
@@ -65,11 +65,11 @@ def test_the_scale_of_a_map_is_uncertain_by_what_trials_differ():
     """The next trial's gain, against the error stated; three trials tell it poorly."""
     scores, stated = [], []
     for seed in range(40):
-        zone = fit_actuator(bends(seed, gain=0.015)).zone
+        zone = fit_actuator(bends(seed, gain=0.015)).muscle_map
         next_one = 1 + np.random.default_rng([seed, 1]).normal(0, 0.015)
         fitted = zone.inflate.curvature(18.0) / INFLATE.curvature(18.0)
         scores.append((fitted - next_one) / zone.scale_se)
-        stated.append(fit_actuator(bends(seed)).zone.scale_se)
+        stated.append(fit_actuator(bends(seed)).muscle_map.scale_se)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
     assert np.mean(stated) < 0.018  # trials that agree
 
@@ -84,7 +84,7 @@ def test_ten_percent_outliers_and_lost_pictures_are_left_out_and_said():
     result = fit_actuator(replace(clean, curvature=k))
     assert result.verdict.good, result.verdict
     assert not result.used[wild].any()
-    assert worst(result.zone.inflate, INFLATE) < 0.01 * result.full_scale
+    assert worst(result.muscle_map.inflate, INFLATE) < 0.01 * result.full_scale
     names = clean.names()
     outliers = next(note for note in result.verdict.notes if "outliers" in note)
     assert all(names[row] in outliers for row in wild if row != 2)
@@ -133,7 +133,7 @@ def swung(t: np.ndarray, p: np.ndarray) -> np.ndarray:
 def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
     loop, pressure_error, many
 ):
-    zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
+    muscle_map = MuscleMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
     swing_s = 2 * 0.5 / (2 * np.pi * 1.5)
     corners, psi = [0.0], [2.5]
     for seconds in (0.7, 2.1, 0.7, 2.1):
@@ -155,7 +155,7 @@ def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
         turn = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
         k = 1.1 * g - loop * turn + 0.001 + rng.normal(0, 3e-4, len(t))
         seen = p + pressure_error + rng.normal(0, 0.03, len(t))
-        lag = fit_lag(t, seen, k, zone)
+        lag = fit_lag(t, seen, k, muscle_map)
         assert lag.inflate_s == pytest.approx(0.033 + 0.16 + swing_s, rel=0.03)
         assert lag.deflate_s == pytest.approx(0.033 + 0.22 + swing_s, rel=0.03)
         assert max(lag.inflate_se_s, lag.deflate_se_s) < 0.01
@@ -163,15 +163,15 @@ def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
 
 def test_a_ramp_without_a_bend_has_no_lag():
     t = np.arange(0, 12, 0.02)
-    zone = ZoneMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
+    muscle_map = MuscleMap(body_pressure_psi=0.49, inflate=INFLATE, deflate=DEFLATE)
     with pytest.raises(DataError, match="no bend to time"):
-        fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), zone)
+        fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), muscle_map)
 
 
 def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
     result = fit_actuator(bends(6, "right"))
     made = result.apply(RobotConfig())
-    assert made.muscle("right").maps[2] == result.zone
+    assert made.muscle("right").maps[2] == result.muscle_map
     assert made.muscle("right").maps[0] == RobotConfig().muscle("right").maps[0]
     draw(result, tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 10_000
@@ -184,7 +184,7 @@ def test_a_map_of_a_body_without_pressure_is_put_in():
     robot = RobotConfig.load(CATHETER)
     assert [zone.pressure_psi for zone in robot.body.zones] == [0.0]
     unpressed = fit_actuator(replace(bends(6), body_pressure_psi=0.0))
-    assert unpressed.apply(robot).muscle("left").maps == [unpressed.zone]
+    assert unpressed.apply(robot).muscle("left").maps == [unpressed.muscle_map]
     with pytest.raises(DataError, match="no zone has a body pressure of"):
         fit_actuator(bends(6)).apply(robot)
 
@@ -212,7 +212,9 @@ def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
     assert [r.muscle for r in older] == ["left", "starboard"]
     np.testing.assert_array_equal(older[1].curvature, again[1].curvature)
     first, second = fit_actuator(both[1]), fit_actuator(again[1])
-    assert second.zone.inflate.amplitude == pytest.approx(first.zone.inflate.amplitude, rel=1e-5)
+    assert second.muscle_map.inflate.amplitude == pytest.approx(
+        first.muscle_map.inflate.amplitude, rel=1e-5
+    )
 
 
 def lifted(lies: float = 180.0) -> RobotConfig:
@@ -229,7 +231,7 @@ def lifted_rows(config: RobotConfig, seed: int, gains: np.ndarray):
     """Bends of that muscle as the bench keeps them; its first sensor broke on the way."""
     rng = np.random.default_rng(seed)
     made, up = bends(seed, "up", sigma=0.0), config.muscles[2]
-    reading_sensors = Wiring.of(config).sensors_reading(up)
+    reading_sensors = Wiring.laid_out(config).sensors_reading(up)
     rows = []
     for n, (k, psi) in enumerate(zip(made.curvature, made.pressure_psi, strict=True)):
         ohm = rng.normal(0, 500, 16)
@@ -247,15 +249,17 @@ def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(l
     up = config.muscles[2]
     for seed in range(20):
         gains = 1 + np.random.default_rng([seed, 2]).normal(0, 0.15, 4)
-        result = fit_actuator(readings_of(lifted_rows(config, seed, gains), config, up, 2))
+        result = fit_actuator(
+            readings_of(lifted_rows(config, seed, gains), Wiring.laid_out(config), up, 2)
+        )
         assert result.verdict.good, result.verdict
         assert "as 4 sensors read it" in result.verdict.reason
-        off = result.zone.inflate.curvature(18.0) / INFLATE.curvature(18.0) - 1
-        assert result.zone.scale_se > 0.07
-        scores.append(off / result.zone.scale_se)
+        off = result.muscle_map.inflate.curvature(18.0) / INFLATE.curvature(18.0) - 1
+        assert result.muscle_map.scale_se > 0.07
+        scores.append(off / result.muscle_map.scale_se)
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
     made = together([result]).apply(config)
-    assert made.muscles[2].maps[2] == result.zone
+    assert made.muscles[2].maps[2] == result.muscle_map
     assert made.muscles[2].maps[2].calibrated
     assert made.muscles[:2] == config.muscles[:2]
     assert not any(zone.calibrated for muscle in made.muscles[:2] for zone in muscle.maps)
@@ -264,19 +268,24 @@ def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(l
 def test_sensors_that_see_nothing_of_a_bend_do_not_make_a_map_of_it():
     config = lifted()
     up = config.muscles[2]
-    still = fit_actuator(readings_of(lifted_rows(config, 0, np.zeros(4)), config, up, 2))
+    still = fit_actuator(
+        readings_of(lifted_rows(config, 0, np.zeros(4)), Wiring.laid_out(config), up, 2)
+    )
     assert not still.verdict.good
     assert "does not bend when the up muscle" in still.verdict.reason
-    turned = fit_actuator(readings_of(lifted_rows(config, 0, -np.ones(4)), config, up, 2))
+    turned = fit_actuator(
+        readings_of(lifted_rows(config, 0, -np.ones(4)), Wiring.laid_out(config), up, 2)
+    )
     assert "scale_per_ohm of the sensors has the wrong sign" in turned.verdict.reason
 
 
 @pytest.mark.parametrize("lies", [0.0, 90.0, 60.0, 300.0, 110.0])
 def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
     config = lifted(lies)
-    assert Wiring.of(config).sensors_reading(config.muscles[2]) == []
+    assert Wiring.laid_out(config).sensors_reading(config.muscles[2]) == []
     left = [
-        read.sensor.direction_deg for read in Wiring.of(config).sensors_reading(config.muscles[0])
+        read.sensor.direction_deg
+        for read in Wiring.laid_out(config).sensors_reading(config.muscles[0])
     ]
     assert left.count(270.0) == 5
     assert set(left) <= {270.0, 300.0}

@@ -19,6 +19,7 @@ from thigmo.errors import DataError
 from thigmo.field.sweeps import stated
 from thigmo.mechanics import Tube, push, push_tip
 from thigmo.record.table import write_table
+from thigmo.wiring import Wiring
 
 FOLD = Body().critical_curvature
 COMPLIANCES = [0.0, 0.03 / FOLD, 0.1 / FOLD]  # cm, by the turn in rad at the moment of the fold
@@ -188,14 +189,14 @@ def test_files_that_tell_nothing_are_refused(
 def test_what_is_measured_reaches_the_fit_of_explorations(tmp_path: Path) -> None:
     session = Session(tmp_path / "calibration", blank(RobotConfig()))
     everything = np.ones(10, bool)
-    before = stated(session.config, "left", everything)
+    before = stated(Wiring.laid_out(session.config), "left", everything)
     assert (before.base, before.base_error) == (0.0, 2.5)
     file = pushes_file(tmp_path / "pushes.csv", COMPLIANCES[2])
     result = fit_csv("base", file, session.config)
     session.keep("base", result)
     draw(result, session.figure("base"))
     assert session.figure("base").stat().st_size > 1000
-    errors = stated(RobotConfig.load(session.robot_file), "left", everything)
+    errors = stated(Wiring.laid_out(RobotConfig.load(session.robot_file)), "left", everything)
     assert errors.base == pytest.approx(COMPLIANCES[2], abs=3 * errors.base_error)
     assert errors.base_error == pytest.approx(result.compliance_se_cm)
     body = blank(session.config).body

@@ -75,7 +75,7 @@ def test_zero_noise_and_direction_are_reported():
     result = fit_flex(lab.flex(places=20, bends=30), lab.config)
     for fit, zero in zip(result.sensors, lab.zero, strict=True):
         assert abs(fit.zero_ohm - zero) < 4 * fit.zero_se_ohm
-        assert fit.valid_direction == 0
+        assert fit.bend_sign == 0
         assert fit.noise == pytest.approx(6e-4, rel=0.5)
 
 
@@ -87,7 +87,7 @@ def test_one_way_sensor_is_found():
     dull = lab.zero[0] + np.where(k[:, 0] > 0, k[:, 0] / lab.scale[0], 0)
     ohm[:, 0] = dull + lab.rng.normal(0, 5, len(dull))
     fit = fit_flex(replace(readings, ohm=ohm), lab.config).sensors[0]
-    assert fit.valid_direction == 1
+    assert fit.bend_sign == 1
     assert fit.scale_per_ohm == pytest.approx(lab.scale[0], rel=0.05)
 
 
@@ -295,7 +295,7 @@ def test_loop_and_one_way_column_are_found_with_the_scale():
                          for a in readings.active])  # fmt: skip
     k = np.where(wrinkled, 0.3 * k + 0.01 * np.sin(400 * model), k)
     result = fit_flex(replace(readings, ohm=lab.ohm(k)), lab.config)
-    assert [f.valid_direction for f in result.sensors] == [-1] * 5 + [1] * 5
+    assert [f.bend_sign for f in result.sensors] == [-1] * 5 + [1] * 5
     assert np.abs(errors(result, lab)).max() < 0.015
     hysteresis = np.array([f.hysteresis for f in result.sensors])
     assert np.corrcoef(hysteresis, loop)[0, 1] > 0.8

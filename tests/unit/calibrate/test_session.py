@@ -63,7 +63,7 @@ def test_good_results_reach_robot_toml_with_a_backup_and_bad_ones_do_not(tmp_pat
     assert said.startswith("actuator: good: g known to")
     assert last.endswith("robot.toml updated; the one before is robot.toml.1.bak")
     assert (tmp_path / "robot.toml.1.bak").read_text() == before
-    assert RobotConfig.load(session.robot_file).muscle("left").maps[2] == result.zone
+    assert RobotConfig.load(session.robot_file).muscle("left").maps[2] == result.muscle_map
     assert session.good_result("actuator")["verdict"]["good"]
     after = session.robot_file.read_text()
     wrong = bends(1)

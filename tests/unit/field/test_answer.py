@@ -65,6 +65,21 @@ def test_a_touch_that_no_reading_shows_is_placed_by_two_lengths_and_not_by_one(
     assert (contact.doubt == EARLY_WORDS) == (not places)
 
 
+def test_a_touch_of_the_end_is_as_unsure_as_the_shape_of_the_end() -> None:
+    inside = _samples(0.009, (False, True))
+    ahead = inside.touch + np.array([7.0, 0.0, 0.0, 0.0, 0.0])
+    contacts = [
+        _placed(_readings(), [samples], 0, 9.0, "", face=np.zeros((0, 2)))
+        for samples in (inside, replace(inside, touch=ahead))
+    ]
+    assert contacts[0] is not None
+    assert contacts[1] is not None
+    added = contacts[1].covariance_cm2 - contacts[0].covariance_cm2
+    assert added == pytest.approx(0.875**2 * np.eye(2), rel=0.1)
+    low = [contact.arc_cm - contact.interval_cm[0] for contact in contacts if contact]
+    assert low[1] - low[0] == pytest.approx(1.75, rel=0.1)  # a tube radius
+
+
 def test_the_face_of_a_wall_reaches_from_the_first_touch_to_the_last() -> None:
     body = Body(radius=1.75, longest=53.0, most_bend=0.03, fold_error=0.1, yield_unit=1.0)
     q = np.array([[0.012, 0.4 + off, -0.8, 0.0, 0.1, 0.1, 0.0] for off in (-0.02, 0.0, 0.02)])

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.plan import stage_lengths
+from thigmo.exploration.growth import stage_lengths
 from thigmo.field import expected_sweeps
+from thigmo.wiring import Wiring
 
 NARROW = 3.0 / 53
 
@@ -17,11 +18,11 @@ def lengths() -> list[float]:
 
 
 def test_more_sweeps_never_tell_less(lengths: list[float]) -> None:
-    side = expected_sweeps(RobotConfig(), "left", lengths)
-    assert side.told_by([0] * len(lengths), NARROW) == (0.0, 0.0)
+    side = expected_sweeps(Wiring.laid_out(RobotConfig()), "left", lengths)
+    assert side.felt_and_placed([0] * len(lengths), NARROW) == (0.0, 0.0)
     felt, placed = 0.0, 0.0
     for sweeps in ([0, 0, 0, 0, 0, 1], [0, 0, 0, 1, 0, 1], [0, 0, 0, 1, 1, 1], [1] * 6, [3] * 6):
-        more_felt, more_placed = side.told_by(sweeps, NARROW)
+        more_felt, more_placed = side.felt_and_placed(sweeps, NARROW)
         assert more_felt >= felt
         assert more_placed >= placed
         assert 0.0 < more_placed <= more_felt <= 1.0
@@ -29,9 +30,9 @@ def test_more_sweeps_never_tell_less(lengths: list[float]) -> None:
 
 
 def test_a_longer_body_feels_more_of_what_it_reaches(lengths: list[float]) -> None:
-    side = expected_sweeps(RobotConfig(), "left", lengths)
+    side = expected_sweeps(Wiring.laid_out(RobotConfig()), "left", lengths)
     single = [[int(n == s) for n in range(len(lengths))] for s in range(len(lengths))]
-    felt = [side.told_by(sweeps, NARROW)[0] for sweeps in single]
+    felt = [side.felt_and_placed(sweeps, NARROW)[0] for sweeps in single]
     assert felt == sorted(felt)
     assert felt[0] < 0.1 < 0.9 < felt[-1]
 
@@ -44,7 +45,7 @@ def test_noise_and_unsure_places_of_sensors_cost_places_of_pegs(lengths: list[fl
         sensor.center_se_cm = 3.0
     sweeps = [0, 0, 0, 1, 1, 1]
     placed = [
-        expected_sweeps(config, "left", lengths).told_by(sweeps, NARROW)[1]
+        expected_sweeps(Wiring.laid_out(config), "left", lengths).felt_and_placed(sweeps, NARROW)[1]
         for config in (good, noisy, unsure)
     ]
     assert placed[1] < placed[0]
@@ -52,5 +53,7 @@ def test_noise_and_unsure_places_of_sensors_cost_places_of_pegs(lengths: list[fl
 
 
 def test_both_sides_of_a_symmetric_robot_tell_the_same(lengths: list[float]) -> None:
-    left, right = (expected_sweeps(RobotConfig(), side, lengths) for side in ("left", "right"))
+    left, right = (
+        expected_sweeps(Wiring.laid_out(RobotConfig()), side, lengths) for side in ("left", "right")
+    )
     assert left is right  # computed once

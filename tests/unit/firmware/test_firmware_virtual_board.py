@@ -392,9 +392,9 @@ def test_the_trigger_fires_after_filter_and_debounce_ticks(filter_log2: int, deb
 
 
 @pytest.mark.parametrize("side", [0, 1])
-@pytest.mark.parametrize(("held_back", "fires"), [(0.008, True), (-0.008, False)])
+@pytest.mark.parametrize(("curvature_deficit", "fires"), [(0.008, True), (-0.008, False)])
 def test_only_a_base_that_is_held_back_in_its_bend_fires(
-    side: int, held_back: float, fires: bool
+    side: int, curvature_deficit: float, fires: bool
 ) -> None:
     """A peg takes curvature from the bend; a base that bends further is the map's error."""
     bench = Bench(body=bend).zeroed()
@@ -402,7 +402,7 @@ def test_only_a_base_that_is_held_back_in_its_bend_fires(
     bench.do(wire.Sweep(psi, 8000, 1, 0))
     towards = 1.0 if side == 0 else -1.0
     bench.body = lambda left, right: (
-        bend(left, right) - towards * held_back * (max(left, right) > 8.0)
+        bend(left, right) - towards * curvature_deficit * (max(left, right) > 8.0)
     )
     bench.step(8000)
     assert bool(bench.event(wire.EventCode.CONTACT)) == fires

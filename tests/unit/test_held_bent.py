@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from thigmo.config import RobotConfig
-from thigmo.exploration.stall import Lean, lean
+from thigmo.exploration.stall import HeldBent, detect_held_bent
 from thigmo.robot import Profile, SensorTable
 from thigmo.robot.curvature import Floats
 from thigmo.wiring import Wiring
 
-TABLE = SensorTable.of(Wiring.of(RobotConfig()))
+TABLE = SensorTable.laid_out(Wiring.laid_out(RobotConfig()))
 LENGTHS = np.linspace(30.0, 40.0, 120)
 _KNOWN = (0, 1, 5, 6)  # zeroed before, at 5 and 15 cm of either side
 
 
-def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) -> Lean | None:
+def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) -> HeldBent | None:
     """A growth in which a peg at `met_cm` bends the body; `creep` moves the zeros only after it,
     and `alone` moves that of one sensor meanwhile.
     """
@@ -29,7 +29,7 @@ def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) 
     bent = step * change
     readings = np.nan_to_num(before) + bent + rng.normal(0.0, 3e-4, bent.shape)
     after = np.nan_to_num(before) + change + creep
-    return lean(Profile(LENGTHS / 2.0, LENGTHS, readings), before, after, TABLE)
+    return detect_held_bent(Profile(LENGTHS / 2.0, LENGTHS, readings), before, after, TABLE)
 
 
 @pytest.mark.parametrize("force", [2e-4, -2e-4])

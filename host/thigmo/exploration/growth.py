@@ -1,4 +1,7 @@
-"""Where to stop: the lengths at which the robot sweeps, and the pressures on the way there."""
+"""Where growth stops: the lengths at which the robot can sweep, and the body pressures up to them.
+
+Of these lengths `effort` plans those at which it does.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +79,7 @@ def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
 def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> float:
     """How far to grow before the stage, or a body-pressure boundary or whole pitch before it.
 
-    Where growth stops, the sensors are asked whether the tip has come as far.
+    At each stop the sensors show whether the tip has come as far as the encoder says.
     """
     ends = [*(zone.until_cm for zone in config.body.zones), *stage_lengths(config)]
     return min(
