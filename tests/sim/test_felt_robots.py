@@ -27,6 +27,7 @@ from thigmo_bench.studies.gallery import (
     unmeasured,
     visit,
 )
+from thigmo_bench.studies.robots import Visited
 
 
 @pytest.mark.ci
@@ -38,15 +39,39 @@ def test_a_robot_at_rest_feels_where_it_is_pushed(name: str) -> None:
     assert not any(load.wrong for load in pushes)
 
 
+def _explored(name: str, *, peg: bool) -> Visited:
+    """A room that a robot of the gallery explores with its true maps."""
+    measured = Calibrated(name, 1, config=unmeasured(name, 1))
+    return visit(Room(measured, 1 if peg else 3, peg, gains_changed=False))
+
+
 @pytest.mark.ci
 @pytest.mark.parametrize("name", EXPLORED)
-def test_a_robot_of_the_gallery_explores(name: str) -> None:
-    measured = Calibrated(name, 1, config=unmeasured(name, 1))
-    touched, empty = (visit(Room(measured, seed, seed == 1, False)) for seed in (1, 3))
-    assert not [run.status for run in (touched, empty) if run.status.startswith("aborted")]
+def test_a_robot_of_the_gallery_says_nothing_in_an_empty_room(name: str) -> None:
+    assert _explored(name, peg=False).status == "silent"
+
+
+_ENDS_SOON = (
+    "the base comes near its fold after 0.7 s, so the sweep ends with one bin of readings, which a "
+    "map that bends too much explains as well: the side should be measured again"
+)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.xfail(reason=_ENDS_SOON, strict=True))
+        if name == "one-column"
+        else name
+        for name in EXPLORED
+    ],
+)
+def test_a_robot_of_the_gallery_finds_a_peg(name: str) -> None:
+    touched = _explored(name, peg=True)
+    assert touched.status in ("localized", "ambiguous")
     assert not touched.missed
     assert not touched.wrong
-    assert empty.status == "silent"
 
 
 @pytest.mark.parametrize(

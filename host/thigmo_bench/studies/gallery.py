@@ -51,7 +51,7 @@ _GAIN_CHANGE = 0.05  # relative standard deviation, after the calibration
 # What nobody has measured before the calibration: ranges of what differs from the gallery's file.
 _SCALES, _MAPS = (0.75, 1.25), (0.93, 1.07)
 # Fewer set points than the command's defaults: the emulator's noise does not need more.
-_PLAN = Plan(trials=1, step_psi=4.5, places=6)
+_PLAN = Plan(trials=1, step_psi=3.0, places=6)
 _PUSHED_RAD = (0.15, 0.5)  # turn of the body beyond a push
 
 
