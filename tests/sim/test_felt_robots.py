@@ -61,10 +61,8 @@ _ENDS_SOON = (
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=pytest.mark.xfail(reason=_ENDS_SOON, strict=True))
-        if name == "one-column"
-        else name
-        for name in EXPLORED
+        "catheter",
+        pytest.param("one-column", marks=pytest.mark.xfail(reason=_ENDS_SOON, strict=True)),
     ],
 )
 def test_a_robot_of_the_gallery_finds_a_peg(name: str) -> None:

@@ -23,8 +23,15 @@ from thigmo.mechanics import Peg
 from thigmo.robot import Robot, connect
 from thigmo.stream import Telemetry
 from thigmo.wiring import Wiring
-from thigmo_bench.studies.gallery import gallery_robot
-from thigmo_bench.studies.robots import ROBOTS, THESIS, visit
+from thigmo_bench.studies.robots import (
+    MIXED,
+    ROBOTS,
+    THESIS,
+    THICK_7,
+    THICK_10,
+    robot_named,
+    visit,
+)
 from thigmo_bench.studies.rooms import explored
 
 OTHERS = [name for name in ROBOTS if name != THESIS]
@@ -54,10 +61,17 @@ def test_a_described_robot_finds_pegs_and_says_nothing_in_an_empty_room(name: st
     assert silent.status == "silent"
 
 
-@pytest.mark.parametrize("name", ["thick-7", "thick-10"])
+@pytest.mark.ci
+@pytest.mark.parametrize("name", [THICK_7, THICK_10, MIXED])
+def test_a_thick_or_mixed_robot_is_sound(name: str) -> None:
+    visits = [visit((name, 1, True)), visit((name, 3, False))]
+    assert not [room.status for room in visits if room.status.startswith("aborted")]
+
+
+@pytest.mark.parametrize("name", [THICK_7, THICK_10])
 def test_a_thick_body_stands_where_it_stopped(name: str) -> None:
     """The contacts opened before the brake had closed: 8.4 mm in 50 ms, and spool_slip."""
-    scene = room_for(gallery_robot(name), 1, peg=False)
+    scene = room_for(robot_named(name), 1, peg=False)
     robot, transport = armed(scene)
     plant = transport.lockstep.plant
     for length_cm in (10.0, 20.0, 30.0):
@@ -71,7 +85,7 @@ def test_a_thick_body_stands_where_it_stopped(name: str) -> None:
 
 
 def test_a_check_says_how_far_a_thick_body_runs_on_until_its_brake_holds() -> None:
-    config = gallery_robot("thick-10")
+    config = robot_named(THICK_10)
     said = [finding for finding in judge(config) if "its brake holds" in finding.text]
     assert [finding.mark for finding in said] == ["ok"] * 3
     assert "runs on by 2.0 mm until its brake holds, 70 ms later; 3 mm are allowed" in said[0].text
