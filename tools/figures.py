@@ -204,6 +204,26 @@ def _robots(studies: list[dict[str, Any]]) -> list[Grid]:
     return [Grid(head, rows)]
 
 
+def _gallery(found: list[dict[str, Any]]) -> list[Grid]:
+    """A row a robot of the gallery, with what `thigmo robot check` says of its file."""
+    (study,) = found
+    head = (
+        "robot", "check", "rooms", "missed, %", "localized", "localized wrong, %",
+        "median error, % of length", "largest error, %", "empty rooms", "localized in these",
+        "runs aborted",
+    )  # fmt: skip
+    rows = [
+        (
+            row["robot"], row["check"], str(row["rooms"]), f"{row['missed_percent']:.3g}",
+            str(row["localized"]), f"{row['wrong_percent']:.3g}", f"{row['error_percent']:.2g}",
+            f"{row['worst_percent']:.2g}", str(row["empty_rooms"]), str(row["empty_localized"]),
+            str(row["aborted"]),
+        )
+        for row in study["rows"]
+    ]  # fmt: skip
+    return [Grid(head, rows)]
+
+
 def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
@@ -413,6 +433,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
 GRIDS: dict[str, Callable[[Any], list[Grid]]] = {
     "exploration": _explored_rooms,
     "robots": _robots,
+    "gallery": _gallery,
     "accuracy": _accuracy,
     "mistakes": _mistakes,
     "loads": _loads,
@@ -464,6 +485,7 @@ SOURCES: dict[str, Source] = {
                 "exploration-explorations.png": "explorations.png",
             },
             "robots": {},
+            "gallery": {},
             "plant-models": {"plant-models-ladder.png": "ladder.png"},
             "camera": {},
             "trigger": {"trigger-chart.png": "trigger.png"},

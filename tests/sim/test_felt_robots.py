@@ -16,7 +16,18 @@ from thigmo.emulator.scene import WallTable
 from thigmo.errors import CommandRefusedError, ConfigError
 from thigmo.exploration import explore
 from thigmo_bench.studies.exploration import LENGTH_CM
-from thigmo_bench.studies.robots import CATHETER, FELT, GALLERY, push, visit
+from thigmo_bench.studies.gallery import (
+    EXPLORED,
+    FELT,
+    GALLERY,
+    Calibrated,
+    Room,
+    gallery_robot,
+    push,
+    unmeasured,
+    visit,
+)
+from thigmo_bench.studies.robots import Visited
 
 
 @pytest.mark.ci
@@ -28,12 +39,37 @@ def test_a_robot_at_rest_feels_where_it_is_pushed(name: str) -> None:
     assert not any(load.wrong for load in pushes)
 
 
+def _explored(name: str, *, peg: bool) -> Visited:
+    """A room that a robot of the gallery explores with its true maps."""
+    measured = Calibrated(name, 1, config=unmeasured(name, 1))
+    return visit(Room(measured, 1 if peg else 3, peg, gains_changed=False))
+
+
 @pytest.mark.ci
-def test_a_catheter_of_28_psi_explores() -> None:
-    touched, empty = visit((CATHETER, 1, True)), visit((CATHETER, 3, False))
-    assert not touched.status.startswith("aborted")
+@pytest.mark.parametrize("name", EXPLORED)
+def test_a_robot_of_the_gallery_says_nothing_in_an_empty_room(name: str) -> None:
+    assert _explored(name, peg=False).status == "silent"
+
+
+_ENDS_SOON = (
+    "the base comes near its fold after 0.7 s, so the sweep ends with one bin of readings, which a "
+    "map that bends too much explains as well: the side should be measured again"
+)
+
+
+@pytest.mark.ci
+@pytest.mark.parametrize(
+    "name",
+    [
+        "catheter",
+        pytest.param("one-column", marks=pytest.mark.xfail(reason=_ENDS_SOON, strict=True)),
+    ],
+)
+def test_a_robot_of_the_gallery_finds_a_peg(name: str) -> None:
+    touched = _explored(name, peg=True)
+    assert touched.status in ("localized", "ambiguous")
     assert not touched.missed
-    assert empty.status == "silent"
+    assert not touched.wrong
 
 
 @pytest.mark.parametrize(
@@ -45,14 +81,14 @@ def test_a_catheter_of_28_psi_explores() -> None:
     ],
 )
 def test_explore_says_in_one_line_why_it_cannot(name: str, why: str, tmp_path: Path) -> None:
-    robot = RobotConfig.load(GALLERY / f"{name}.toml")
+    robot = gallery_robot(name)
     url = room_file(tmp_path, room_for(robot, 1, peg=False))
     with pytest.raises(ConfigError, match=why):
         explore(url, out=tmp_path, seed=1)
 
 
 def test_a_robot_of_fixed_length_knows_its_length_and_refuses_to_grow_by_name() -> None:
-    finger = RobotConfig.load(GALLERY / "finger.toml")
+    finger = gallery_robot("finger")
     robot, transport = emulated(room_for(finger, 1, peg=False))
     robot.configure(transport.config)
     robot.arm()
@@ -64,7 +100,7 @@ def test_a_robot_of_fixed_length_knows_its_length_and_refuses_to_grow_by_name() 
 
 
 def test_a_muscleless_vine_grows() -> None:
-    whisker = RobotConfig.load(GALLERY / "whisker.toml")
+    whisker = gallery_robot("whisker")
     robot, transport = armed(room_for(whisker, 1, peg=False))
     robot.pressurize(0)
     assert robot.grow_to(20.0) == pytest.approx(20.0, abs=0.1)
@@ -73,7 +109,7 @@ def test_a_muscleless_vine_grows() -> None:
 
 
 def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_path: Path) -> None:
-    whisker = RobotConfig.load(GALLERY / "whisker.toml")
+    whisker = gallery_robot("whisker")
     url = room_file(tmp_path, room_for(whisker, 1, peg=False))
     said = thigmo("feel", "--robot", url, "--grow-to", "20", "--count", "1", "--json")
     (answer,) = json.loads(said.out)
@@ -83,7 +119,7 @@ def test_thigmo_feel_grows_a_muscleless_vine_and_answers(thigmo: Thigmo, tmp_pat
 
 def _grown_whisker(thigmo: Thigmo, tmp_path: Path, walls: list[WallTable]) -> dict[str, Any]:
     """The answer of `thigmo feel --grow-to 53` beside walls."""
-    room = room_for(RobotConfig.load(GALLERY / "whisker.toml"), 1, peg=False)
+    room = room_for(gallery_robot("whisker"), 1, peg=False)
     room.walls = walls
     url = room_file(tmp_path, room)
     ran = thigmo("feel", "--robot", url, "--grow-to", "53", "--count", "1", "--json")

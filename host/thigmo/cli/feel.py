@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from math import ceil
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from thigmo.cli.console import Console
 from thigmo.cli.output import JsonOption, KnownConfigOption, RobotOption, print_json
-from thigmo.errors import CommandRefusedError, ConfigError, DataError
+from thigmo.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from thigmo.config import Muscle, RobotConfig
-    from thigmo.robot import Robot
 
-_STEADY_S = 3.0  # from a set point to a bend at rest
 _RAMP_PSI_S = 1.0
-_TRIES = 3  # of zeroing a body that still drifts
 
 
 def feel(
@@ -49,6 +45,7 @@ def feel(
     """
     from thigmo.calibrate.bench import grow_to
     from thigmo.config import RobotConfig
+    from thigmo.exploration.feeling import STEADY_S, grow_until_touched, prepare
     from thigmo.exploration.feeling import feel as felt_now
     from thigmo.robot import connect
 
@@ -63,14 +60,15 @@ def feel(
             machine.known_length_cm()
             machine.arm()
         if grow is not None and not used.muscles and not used.gratings:
-            _grow_until_touched(machine, used, grow)
+            if grow_until_touched(machine, grow, _say):
+                _say("something bends the body: the growth ends here")
         else:
             if grow is not None:
                 grow_to(machine, used, grow, _say)
-            _ready(machine, used)
+            prepare(machine)
         if muscle is not None:
             machine.press(muscle.name, psi, ramp_psi_s=_RAMP_PSI_S)
-            machine.wait(psi / _RAMP_PSI_S + _STEADY_S)
+            machine.wait(psi / _RAMP_PSI_S + STEADY_S)
         opened_s = machine.now() - machine.elapsed_s
         for _ in range(count):
             now = felt_now(machine, muscle)
@@ -111,59 +109,3 @@ def _pressed(text: str | None, config: RobotConfig) -> tuple[Muscle | None, floa
             f"--press is {text!r}", f"give NAME=PSI, of 0 to {muscle.max_pressure_psi:g} psi"
         )
     return muscle, psi
-
-
-def _grow_until_touched(machine: Robot, config: RobotConfig, length_cm: float) -> None:
-    """Grow pitch by pitch and feel at each stop; end where something bends the body.
-
-    Sensors are zeroed at the first stop after they have everted, as long as nothing is felt: a zero
-    that is taken later would call the touched shape straight.
-    """
-    from thigmo.calibrate.bench import grow_to
-    from thigmo.exploration.feeling import feel as felt_now
-
-    _zero_new(machine)
-    pitch_cm = config.body.pitch_cm
-    stops = ceil(length_cm / pitch_cm)
-    for stop_cm in (*(pitch_cm * stop for stop in range(1, stops)), length_cm):
-        if stop_cm <= machine.known_length_cm():
-            continue
-        grow_to(machine, config, stop_cm, _say)
-        machine.wait(_STEADY_S)
-        if machine.status().zeroed and felt_now(machine).result.contacts:
-            _say("something bends the body: the growth ends here")
-            return
-        _zero_new(machine)
-
-
-def _zero_new(machine: Robot) -> None:
-    """Zero the everted sensors that have no zero yet."""
-    status = machine.status()
-    if new := status.everted & ~status.zeroed:
-        machine.wait_settled(sensors=new)
-        _zero(machine, new)
-
-
-def _ready(machine: Robot, config: RobotConfig) -> None:
-    """Arm the robot, with the body pressure of its length, and zero it at rest."""
-    length_cm = machine.known_length_cm()
-    zone = config.body.zone_at(length_cm)
-    machine.pressurize(zone)
-    if machine.status().state == "safe":
-        machine.arm()
-    machine.vent()
-    machine.wait_settled()
-    _zero(machine)
-
-
-def _zero(machine: Robot, sensors: int = -1) -> None:
-    """Zero sensors of a mask, -1 for all; try again while the body drifts."""
-    for tries in range(_TRIES):
-        try:
-            machine.zero(sensors)
-        except CommandRefusedError as error:
-            if error.reason != "drifting" or tries + 1 == _TRIES:
-                raise
-            machine.wait(_STEADY_S)
-        else:
-            return

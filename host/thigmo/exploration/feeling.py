@@ -1,12 +1,13 @@
 """Contacts at this moment, of a robot that rests: by the sensors that the board reads, or a fibre.
 
-Any robot feels so, muscles or none, and growing or not. Bends out of the plane are localized in
-space where a sensor that counts lies out of it. `thigmo feel` is its command.
+Any robot feels so, muscles or none; one that grows also does at the stops of its growth. Bends out
+of the plane are localized in space where a sensor that counts lies out of it. `thigmo feel` is its
+command.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import cos, radians
 from typing import Any
@@ -14,8 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from thigmo.config import DEGREES, Muscle, RobotConfig, Sensor
-from thigmo.errors import DataError
+from thigmo.config import DEGREES, SAME_LENGTH_CM, Muscle, RobotConfig, Sensor
+from thigmo.errors import CommandRefusedError, DataError
+from thigmo.exploration.growth import growth_target, growth_zone
 from thigmo.localization import LocalizeResult, localize
 from thigmo.mechanics import rest_mean
 from thigmo.reading_errors import errors_of
@@ -25,6 +27,8 @@ from thigmo.robot.curvature import Floats
 Ints = npt.NDArray[np.intp]
 
 READ_S = 0.5
+STEADY_S = 3.0  # from a change of pressure or length to a bend at rest
+_ZERO_TRIES = 3  # of zeroing a body that still drifts
 _SAME_SHARE = 1e-6
 # A fold is weighed in the plane only (`localization.Body`).
 _OF_THE_PLANE = ("critical_curvature", "critical_curvature_error", "base_fold_error")
@@ -66,6 +70,73 @@ def feel(robot: Robot, muscle: Muscle | None = None) -> Feeling:
     """
     config = robot.config
     return _by_fibre(robot) if config.gratings else _by_board(robot, muscle)
+
+
+def prepare(robot: Robot) -> None:
+    """Arm a robot with the body pressure of its length, and zero it as it lies at rest.
+
+    It must touch nothing.
+
+    Raises:
+        CommandRefusedError: its readings still drift.
+    """
+    robot.pressurize(robot.config.body.zone_at(robot.known_length_cm()))
+    if robot.status().state == "safe":
+        robot.arm()
+    robot.vent()
+    robot.wait_settled()
+    _zero(robot)
+
+
+def grow_until_touched(robot: Robot, length_cm: float, say: Callable[[str], None]) -> bool:
+    """Grow an armed robot to a length, and feel at each stop; end where something bends it.
+
+    It stops at each stage and each boundary of body pressures. A sensor is zeroed at the first stop
+    after it has everted, as long as nothing is felt: a zero that is taken later would call the
+    touched shape straight.
+
+    Returns:
+        Whether something bends it.
+
+    Raises:
+        CommandRefusedError: the board refuses to grow or to zero.
+    """
+    config = robot.config
+    zone: int | None = None
+    _zero_everted(robot)
+    while (grown_cm := robot.known_length_cm()) < length_cm - SAME_LENGTH_CM:
+        stop_cm = growth_target(config, grown_cm, length_cm)
+        if (next_zone := growth_zone(config, grown_cm, stop_cm)) != zone:
+            zone = next_zone
+            robot.pressurize(zone)
+        say(f"growing to {stop_cm:.1f} cm")
+        robot.grow_to(stop_cm)
+        robot.wait(STEADY_S)
+        if robot.status().zeroed and feel(robot).result.contacts:
+            return True
+        _zero_everted(robot)
+    return False
+
+
+def _zero_everted(robot: Robot) -> None:
+    """Zero the everted sensors that have no zero yet."""
+    status = robot.status()
+    if new := status.everted & ~status.zeroed:
+        robot.wait_settled(sensors=new)
+        _zero(robot, new)
+
+
+def _zero(robot: Robot, sensors: int = -1) -> None:
+    """Zero sensors of a mask, -1 for all; try again while the body drifts."""
+    for tries in range(_ZERO_TRIES):
+        try:
+            robot.zero(sensors)
+        except CommandRefusedError as error:
+            if error.reason != "drifting" or tries + 1 == _ZERO_TRIES:
+                raise
+            robot.wait(STEADY_S)
+        else:
+            return
 
 
 def _by_fibre(robot: Robot) -> Feeling:
