@@ -139,6 +139,22 @@ def test_a_side_that_feels_nothing_new_is_not_measured(fits: Fits) -> None:
     assert interpreter.placed_sides(longer) == set()
 
 
+def test_a_side_whose_trigger_fired_is_unsure_until_the_fit_knows_a_contact(fits: Fits) -> None:
+    interpreter = Interpreter(Wiring.laid_out(CONFIG))
+    fits.answers = [a_fit(45.0, probability=0.1)]
+    sweep = replace(_sweep(), triggers=[ContactTrigger("left", 3.0, -0.006)])
+    interpreter.take(sweep, 2)
+    assert interpreter.felt_sides(sweep) == set()
+    assert interpreter.unsure_sides(sweep) == {"left"}
+    assert interpreter.unsure_sides(_sweep()) == set()
+    fits.answers = [a_fit(45.0)]
+    interpreter.take(sweep, 2)
+    assert interpreter.felt_sides(sweep) == {"left"}
+    assert interpreter.unsure_sides(sweep) == set()
+    caught = replace(sweep, frames=_sweep(held_at_rest=0.007).frames)
+    assert interpreter.unsure_sides(caught) == set()
+
+
 def test_a_body_that_was_held_bent_before_its_sweep_says_nothing_of_that_side(fits: Fits) -> None:
     fits.answers = [a_fit(45.0)]
     interpreter = Interpreter(Wiring.laid_out(CONFIG))

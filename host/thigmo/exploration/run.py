@@ -379,14 +379,17 @@ class Exploration:
             enough=None if thesis else self._enough,
         )
         self._knowledge.has_looked(looked, zone=self._zone)
-        fired = self._interpreter.felt_sides(self._knowledge.looked)
-        if not fired:
-            return "no contact"
+        looked = self._knowledge.looked
+        touched = self._interpreter.felt_sides(looked)
         if thesis:
-            return "contact, thesis protocol"
-        measures = self.planner.measures(self._plan_ahead, self._stage_cm, self.robot.elapsed_s)
-        self._unplaced = fired - self._interpreter.placed_sides(self._knowledge.looked)
-        return "contact" if self._unplaced and measures else "contact, and its place"
+            return "contact, thesis protocol" if touched else "no contact"
+        placed = self._interpreter.placed_sides(looked)
+        self._unplaced = (touched | self._interpreter.unsure_sides(looked)) - placed
+        if self._unplaced and self.planner.measures(
+            self._plan_ahead, self._stage_cm, self.robot.elapsed_s
+        ):
+            return "contact"
+        return "contact, and its place" if touched else "no contact"
 
     def _enough(self, so_far: SweepResult) -> bool:
         """Whether a side's sweep can stop, because the base is near its fold."""

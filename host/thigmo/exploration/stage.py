@@ -87,6 +87,15 @@ class Interpreter:
             return {side for side in sides if held[side] > TRIGGER_PER_CM}
         return {side for side in sides if self._felt(side, sweep)}
 
+    def unsure_sides(self, sweep: SweepResult) -> set[Side]:
+        """Sides on which the trigger fired in a sweep that is not known to have touched anything.
+
+        What is touched from a sweep's start on, such as a peg beside the straight body, stops the
+        sweep before there are readings enough: swept again, slowly, it is felt.
+        """
+        triggered = {trigger.side for trigger in sweep.triggers}
+        return triggered & set(self._readable_sides(sweep)) - self.felt_sides(sweep)
+
     def _felt(self, side: Side, sweep: SweepResult) -> list[FittedContact]:
         """The likely contacts of a side that a sweep touched, by the fit to all sweeps."""
         lengths = {peak.length_cm for peak in sweep.peaks if peak.side == side}
