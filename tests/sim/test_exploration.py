@@ -231,6 +231,25 @@ def test_a_random_peg_is_found_at_the_first_stage_that_can_feel_it(
     assert low - 1.0 <= true.arc_cm <= high + 1.0
 
 
+@pytest.mark.parametrize(
+    "peg",
+    [
+        PegTable(x=36.4, y=4.46, radius=1.96),
+        pytest.param(PegTable(x=49.12, y=5.77, radius=1.98), marks=pytest.mark.ci),
+    ],
+)
+def test_a_peg_beside_the_straight_body_is_felt_though_it_stops_each_sweep_at_once(
+    tmp_path: Path, peg: PegTable
+) -> None:
+    scene = Scene.load("default")
+    scene.pegs = [peg]
+    (contact,) = (document := explored(room_file(tmp_path, scene), tmp_path, 1).document).contacts
+    assert document.error_cm is not None
+    print(f"{peg}: {document.error_cm:.2f} cm off, {contact.interval_cm}")
+    assert document.error_cm < 3.0
+    assert document.missed == document.false == []
+
+
 def test_the_thesis_protocol_measures_at_the_full_sweeps_peak(tmp_path: Path) -> None:
     url = room_file(tmp_path, scene_at(38.0, "mid_body"))  # one stage less to explore
     times = {}

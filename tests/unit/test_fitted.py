@@ -16,7 +16,7 @@ from thigmo.exploration.stage import Interpreter
 from thigmo.exploration.stall import Obstruction
 from thigmo.field import FieldContact
 from thigmo.field.answer import UNEXPLAINED_WORDS
-from thigmo.robot import Peak, SweepFrame, SweepResult
+from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
