@@ -23,7 +23,7 @@ STUDIES: dict[str, str] = {
     "field": "the fit to whole sweeps, by sweeps of an independent rod",
     "exploration": "pegs found, empty rooms silent, maps true; calibrated or not",
     "robots": "other robots by description: 30 to 200 cm, one muscle",
-    "gallery": "docs/robots: calibrated and explored, or felt; what check promises",
+    "gallery": "docs/robots: explored or pushed, beside what check says",
     "faults": "single failures: what notices them, how soon, what it costs",
     "trigger": "contact trigger's latency against its false alarms",
     "watch": "how late the page shows a reading, and what three pages cost",
