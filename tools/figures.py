@@ -204,9 +204,9 @@ def _robots(studies: list[dict[str, Any]]) -> list[Grid]:
     return [Grid(head, rows)]
 
 
-def _gallery(found: list[dict[str, Any]]) -> list[Grid]:
+def _gallery(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a robot of the gallery, with what `thigmo robot check` says of its file."""
-    (study,) = found
+    (study,) = studies
     head = (
         "robot", "check", "rooms", "missed, %", "localized", "localized wrong, %",
         "median error, % of length", "largest error, %", "empty rooms", "localized in these",

@@ -243,7 +243,8 @@ def test_a_peg_beside_the_straight_body_is_felt_though_it_stops_each_sweep_at_on
 ) -> None:
     scene = Scene.load("default")
     scene.pegs = [peg]
-    (contact,) = (document := explored(room_file(tmp_path, scene), tmp_path, 1).document).contacts
+    document = explored(room_file(tmp_path, scene), tmp_path, 1).document
+    (contact,) = document.contacts
     assert document.error_cm is not None
     print(f"{peg}: {document.error_cm:.2f} cm off, {contact.interval_cm}")
     assert document.error_cm < 3.0

@@ -136,12 +136,14 @@ def _contacts(
     # second one is touched beyond it. So two are tried in any case; where one holds, and is surely
     # likelier, it is the answer.
     pairs = search.pairs(None if peg is None else peg.likeliest)
-    if holds and _laplace(search, pairs) < explanations[0].log_evidence - _SURELY:
+    pairs_evidence = _laplace(search, pairs)
+    if holds and pairs_evidence < explanations[0].log_evidence - _SURELY:
         return _answer(search, explanations, _doubt(explanations, readings))
+    walls = search.walls()
+    rivals = [(pairs_evidence, pairs), (_laplace(search, walls), walls)]
     # The likelier first: its samples may leave the other too unlikely to be sampled.
-    rivals = [pairs, search.walls()]
-    for chains in sorted(rivals, key=lambda chains: -_laplace(search, chains)):
-        if _laplace(search, chains) > explanations[0].log_evidence - _NEAR:
+    for log_evidence, chains in sorted(rivals, key=lambda rival: -rival[0]):
+        if log_evidence > explanations[0].log_evidence - _NEAR:
             samples = _sampled(search, chains, expected)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)

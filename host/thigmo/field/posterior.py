@@ -240,13 +240,14 @@ class Search:
         if best is None:
             return []
         whole = self.fit.solve(WALL, best.q, best.xi)
-        short = []
+        modes, short = [whole], []
         for ahead in _SHORT:
             q = whole.q.copy()
             q[AHEAD] = ahead
             if WALL.possible(q, self.fit.body):
                 short.append(self.fit.solve(WALL, q, whole.xi))
-        modes = [whole, *sorted(short, key=lambda mode: mode.cost)[:1]]
+        if short:
+            modes.append(min(short, key=lambda mode: mode.cost))
         return [[mode] for mode in modes if self._shows(mode)]
 
     def _shows(self, mode: Mode) -> bool:

@@ -38,7 +38,6 @@ from thigmo.robot import Robot, connect
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo_bench.studies.exploration import LENGTH_CM
 from thigmo_bench.studies.robots import Visited, explored_row
-from thigmo_bench.studies.rooms import explored_scene
 
 GALLERY = Path(__file__).resolve().parents[3] / "docs" / "robots"
 EXPLORED = ("one-column", "mixed", "thick-7", "thick-10", "catheter", "finger")
@@ -146,13 +145,7 @@ def visit(room: Room) -> Visited:
     if room.robot.config is None:
         visited.status = f"aborted: not calibrated, {room.robot.faulty_steps[0]}"
         return visited
-    try:
-        document = explored_scene(scene, room.seed, config=room.robot.config)
-    except ThigmoError as error:
-        visited.status = f"aborted: {error.problem}"
-        return visited
-    visited.judge(document)
-    visited.judge_place(document)
+    visited.explore(scene, config=room.robot.config)
     return visited
 
 
@@ -243,9 +236,9 @@ def outcome_of(
     """Tables and promises of what was calibrated, explored and felt."""
     explored_rows: list[Record] = []
     for name in dict.fromkeys(visited.kind for visited in visits):
-        own_rooms = [visited for visited in visits if visited.kind == name]
+        rooms = [visited for visited in visits if visited.kind == name]
         check = verdict(gallery_robot(name))
-        explored_rows.append({**explored_row(name, own_rooms), "check": check})
+        explored_rows.append({**explored_row(name, rooms), "check": check})
     felt_rows = [
         _felt_row(name, [load for load in pushed if load.robot == name])
         for name in dict.fromkeys(load.robot for load in pushed)

@@ -91,6 +91,19 @@ class Visited(Explored):
     # the 95 % ellipse of the best contact does not hold the true point
     outside: bool = False
 
+    def explore(self, scene: Scene, *, config: RobotConfig | None = None) -> None:
+        """Explore the scene with a robot.toml, by default with what its lab would know; judge it.
+
+        A run that was aborted has its problem as its status.
+        """
+        try:
+            document = explored_scene(scene, self.seed, config=config)
+        except ThigmoError as error:
+            self.status = f"aborted: {error.problem}"
+            return
+        self.judge(document)
+        self.judge_place(document)
+
     def judge_place(self, document: RunDocument) -> None:
         """Compare the run's best contact with the true points of its stage."""
         best, truth = best_contact(document.contacts), document.truth or Truth()
@@ -117,13 +130,7 @@ def visit(room: tuple[str, int, bool]) -> Visited:
     name, seed, peg = room
     scene = room_for(robot_named(name), seed, peg=peg)
     visited = Visited(name, seed, peg=peg, length_cm=scene.robot.body.length_cm)
-    try:
-        document = explored_scene(scene, seed)
-    except ThigmoError as error:
-        visited.status = f"aborted: {error.problem}"
-        return visited
-    visited.judge(document)
-    visited.judge_place(document)
+    visited.explore(scene)
     return visited
 
 
