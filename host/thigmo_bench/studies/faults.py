@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -27,6 +26,7 @@ from thigmo.link.client import Client
 from thigmo.link.framing import Decoder
 from thigmo.robot import Robot
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record
+from thigmo_bench.studies.gallery import gallery_robot
 
 # max_pressure_cpsi of robot.toml, with its margin: of the vines' 18 psi, of the catheter's 28
 MAX_PSI, CATHETER_MAX_PSI = 18.5, 28.5
@@ -154,7 +154,6 @@ BUILT: dict[str, tuple[float, ...]] = {
     "two muscles": (90.0, 270.0),
     "four muscles": (45.0, 135.0, 225.0, 315.0),
 }
-CATHETER = Path(__file__).resolve().parents[3] / "docs" / "robots" / "catheter.toml"
 # Of the muscles' relief valve, by the range of the robot's air (docs/hardware/air.md).
 RELIEF_PSI = {20.0: 30.0, 30.0: 40.0}
 OF_BRAKE = ("brake_open", "brake_closed", "contact_welded")
@@ -218,7 +217,7 @@ def _scene(fit: Fit = "bare", robot: Built = "two muscles") -> Scene:
 
 
 def _catheter_scene() -> Scene:
-    config = RobotConfig.load(CATHETER)
+    config = gallery_robot("catheter")
     scene = room_for(config, _SEED, peg=False)
     scene.start_length_cm = config.body.length_cm
     scene.belief = type(scene.belief)()
