@@ -18,7 +18,7 @@ from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import FaultTable, PegTable, Scene
 from thigmo.errors import LinkError, RobotFaultError
 from thigmo.exploration import ExplorationResult, explore, replay
-from thigmo.exploration.effort import Effort
+from thigmo.exploration.effort import EFFORTS, Effort
 from thigmo.exploration.replay import ReplayResult
 from thigmo.exploration.run import Protocol
 from thigmo.link import protocol as wire
@@ -248,6 +248,24 @@ def test_a_peg_beside_the_straight_body_is_felt_though_it_stops_each_sweep_at_on
     assert document.error_cm is not None
     print(f"{peg}: {document.error_cm:.2f} cm off, {contact.interval_cm}")
     assert document.error_cm < 3.0
+    assert document.missed == document.false == []
+
+
+def test_a_tip_that_was_caught_beside_a_peg_stalls_there_and_not_on_the_straight_path(
+    tmp_path: Path,
+) -> None:
+    scene = Scene.load("default")
+    scene.body.friction = 0.55  # the vented body does not slip off
+    scene.pegs = [PegTable(x=30.472, y=-4.305, radius=0.951)]
+    document = explored(room_file(tmp_path, scene), tmp_path, 1, effort=EFFORTS["careful"]).document
+    (contact,) = document.contacts
+    assert document.stall is not None
+    low, high = document.stall.interval_cm
+    assert low <= 30.0 <= high
+    assert document.error_cm is not None
+    print(f"{document.error_cm:.2f} cm off, at y {contact.y_cm:.1f} cm")
+    assert document.error_cm < 3.0
+    assert contact.y_cm < -scene.robot.body.radius_cm
     assert document.missed == document.false == []
 
 

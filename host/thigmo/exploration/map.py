@@ -19,7 +19,13 @@ from thigmo.contact_status import LIKELY, SURE, narrow
 from thigmo.exploration.fitted import FittedContact, SideFits
 from thigmo.exploration.prior import match
 from thigmo.exploration.stall import HeldBent, Obstruction, causes
-from thigmo.exploration.workspace import Bend, PlacedContact, place_contact, ramp_knots
+from thigmo.exploration.workspace import (
+    Bend,
+    PlacedContact,
+    place_contact,
+    place_stalled_tip,
+    ramp_knots,
+)
 from thigmo.record import MapContact, Obstacle, Stall, TrueContact
 from thigmo.robot import SweepResult
 from thigmo.wiring import Wiring
@@ -131,11 +137,8 @@ class ContactMap:
             if probability <= LIKELY:
                 return
             model = self.stall.words
-            # Anywhere in the interval along the path, and anywhere across the tip's face.
-            along, across = (high - low) ** 2 / 12, (2 * radius) ** 2 / 12
-            track = [(low, 0.0), (high, 0.0)]
-            placed = PlacedContact(
-                obstruction.arc_cm, 0.0, 0.0, ((along, 0.0), (0.0, across)), track
+            placed = place_stalled_tip(
+                obstruction.body or Bend(high, 0.0), obstruction.arc_cm, (low, high), radius
             )
         sure = narrow(obstruction.interval_cm, full_cm) and probability >= SURE
         contact = self._contact(

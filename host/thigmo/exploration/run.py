@@ -260,8 +260,9 @@ class Exploration:
         if target > self.length_cm + 0.1:
             self.length_cm = self.robot.grow_to(target, self._growth)
             grown = self._grown()
-            if self._knowledge.stall(grown) is not None:
-                self._knowledge.growth_stalled(grown)
+            zeros = self.robot.zeros()
+            if self._knowledge.stall(grown, zeros) is not None:
+                self._knowledge.growth_stalled(grown, zeros)
                 return "no eversion"
             whole = [length_cm for length_cm in stage_lengths(self.config) if length_cm >= target]
             if not self._knowledge.stages and self._knowledge.leans(grown):
@@ -292,9 +293,7 @@ class Exploration:
         held_bent = isinstance(obstruction, HeldBent)
         if truth is not None:
             ahead = (
-                truth.contacts
-                if held_bent
-                else true_obstruction(truth.pegs, obstruction, self.config)
+                truth.contacts if held_bent else true_obstruction(truth, obstruction, self.config)
             )
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
         clear_cm = obstruction.clear_cm if isinstance(obstruction, HeldBent) else self._start_cm

@@ -101,14 +101,19 @@ class RunKnowledge:
         """A stage's growth begins, or is tried again."""
         self.obstruction = None
 
-    def stall(self, profile: Profile) -> Obstruction | None:
-        """What has stopped the tip in the stage's growth so far, if anything."""
-        return stall(profile.length_cm, profile.bend, self._table)
+    def stall(self, profile: Profile, zeros: tuple[Floats, Floats]) -> Obstruction | None:
+        """What has stopped the tip in the stage's growth so far, if anything.
+
+        `zeros`: before the sensors were zeroed last, and after.
+        """
+        straight = np.full(len(self._table.healthy), np.nan)
+        straight[: self._board.inputs] = zeros[1]
+        return stall(profile.length_cm, profile.bend, self._table, straight)
 
     @_step
-    def growth_stalled(self, profile: Profile) -> None:
+    def growth_stalled(self, profile: Profile, zeros: tuple[Floats, Floats]) -> None:
         """Something has stopped the tip."""
-        self.obstruction = self.stall(profile)
+        self.obstruction = self.stall(profile, zeros)
 
     def leans(self, profile: Profile) -> bool:
         """Whether a growth whose sensors have no zero yet looks as if the body were held bent."""

@@ -23,7 +23,7 @@ from thigmo.record import (
     Obstacle,
     RunDocument,
     TrueContact,
-    TruePeg,
+    Truth,
 )
 from thigmo.robot import TRIGGER_PER_CM
 
@@ -67,16 +67,21 @@ def judged(
 
 
 def true_obstruction(
-    pegs: Sequence[TruePeg], obstruction: Obstruction, config: RobotConfig
+    truth: Truth, obstruction: Obstruction, config: RobotConfig
 ) -> list[TrueContact]:
-    """The true contact of a tip that stalled: the near face of the peg before it, if there is one.
+    """The true contact of a tip that stalled: what it touches, or the near face of a peg before it.
 
-    The emulated tip is stopped just short of the peg, so its body reports no contact.
+    The emulated tip is stopped just short of a peg that it meets, so its body reports no contact;
+    one that is caught beside a peg touches it.
     """
     low, high = obstruction.interval_cm
+    caught = [contact for contact in truth.contacts if contact.arc_cm > low - _AHEAD_CM]
+    if caught:
+        last = max(caught, key=lambda contact: contact.arc_cm)
+        return [replace(last, everted_length_cm=obstruction.length_cm, side="")]
     faces = [
         TrueContact(p.x_cm - p.radius_cm, p.y_cm, obstruction.arc_cm, obstruction.arc_cm, n)
-        for n, p in enumerate(pegs)
+        for n, p in enumerate(truth.pegs)
         if abs(p.y_cm) < config.body.radius_cm + p.radius_cm
         and low - _AHEAD_CM <= p.x_cm - p.radius_cm <= high + _AHEAD_CM
     ]

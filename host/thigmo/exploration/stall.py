@@ -12,17 +12,22 @@ From one stage to the next a sensor's zero moves by its noise only. Zeros that m
 proportion to its lever, show that the body is held bent. It was bent as the tip passed the peg, and
 the encoder gives that length. Wound in until its tip is clear of the peg, such a body straightens,
 and its zeros come back. Zeros that do not come back have moved by themselves.
+
+A tip can also be caught beside an obstacle that a sweep pressed it against: the vented body stays
+bent, and growth stalls at once. What stopped it is then where the readings put the tip.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
 
+from thigmo.config import SIDES, SIGN
 from thigmo.exploration.growth import FOLD_MARGIN_CM
+from thigmo.exploration.workspace import Bend, common_error, measured_bend
 from thigmo.record import Stall
 from thigmo.robot import Profile, SensorTable
 from thigmo.robot.curvature import Floats
@@ -75,6 +80,8 @@ class Obstruction:
     force_per_cm2: float  # of the peg, over EI; signed as curvature
     # of the sensors that everted before the tip stood still: by how much later than the line says
     late_cm: tuple[float, ...] = field(default=(), kw_only=True)
+    # the body as it stands still, up to the interval's end; None: no sensor was zeroed to tell
+    body: Bend | None = field(default=None, kw_only=True)
 
 
 def causes(
@@ -143,10 +150,13 @@ class HeldBent(Obstruction):
         return not known.any() or float(bend @ back[known]) > _CAME_BACK * float(bend @ bend)
 
 
-def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | None:
+def stall(
+    length_cm: Floats, bend: Floats, table: SensorTable, zeros: Floats | None = None
+) -> Obstruction | None:
     """What a growth's readings show of its tip; None if every sensor that was due has everted.
 
     At believed lengths (n,), ascending, the sensors read `bend` (n, 10) in 1/cm from any zero.
+    `zeros` (10,) are what the straight body read before the growth; NaN without a zero.
     """
     if len(length_cm) <= 2 * _SMOOTH:
         return None
@@ -165,11 +175,33 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable) -> Obstruction | 
         if len(stuck) == len(nearby):
             tips, lows, highs = zip(*stuck, strict=True)
             tip = float(np.mean(tips))
+            interval_cm = min(lows), max(highs)
+            body = None
+            if zeros is not None:
+                everted = table.healthy & np.isfinite(zeros)
+                everted &= end + FOLD_MARGIN_CM <= length_cm[0]
+                last = np.median(bend[-_SMOOTH:], axis=0) - zeros
+                body = _stalled_body(interval_cm[1], np.where(everted, last, np.nan), table)
             return Obstruction(
-                tip, tip, (min(lows), max(highs)), len(nearby), 0.0, late_cm=tuple(late)
+                tip, tip, interval_cm, len(nearby), 0.0, late_cm=tuple(late), body=body
             )
         late = [_left_late(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in nearby]
     return None
+
+
+def _stalled_body(length_cm: float, curvature: Floats, table: SensorTable) -> Bend | None:
+    """The body up to a length, by the readings (10,) of the side that reads more of its bend.
+
+    NaN where a sensor does not tell; None if none does.
+    """
+    known = np.isfinite(curvature)
+    sides = [known & ((table.bend_sign == 0) | (table.bend_sign == SIGN[side])) for side in SIDES]
+    use = max(sides, key=lambda mask: abs(float(curvature[mask].sum())))
+    if not use.any():
+        return None
+    center_cm = table.center_cm[use]
+    curvature_se = common_error(length_cm, center_cm, table.covariance[np.ix_(use, use)])
+    return replace(measured_bend(length_cm, center_cm, curvature[use]), curvature_se=curvature_se)
 
 
 def _before(length_cm: Floats, reading: Floats, start: float) -> float:

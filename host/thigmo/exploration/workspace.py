@@ -194,3 +194,22 @@ def place_contact(
     (xx, xy), (yx, yy) = covariance.tolist()
     drawn = [(round(px, 4), round(py, 4)) for px, py in track]
     return PlacedContact(x, y, normal, ((xx, xy), (yx, yy)), drawn)
+
+
+def place_stalled_tip(
+    bend: Bend, arc: float, interval_cm: tuple[float, float], radius_cm: float
+) -> PlacedContact:
+    """Put what stopped a tip into the room: at an arc within its interval, in front of the tip.
+
+    It is anywhere in the interval along the body, and anywhere across the tip's face.
+    """
+    curve, (low, high) = centreline(bend), interval_cm
+    x, y, heading = curve.pose(arc)
+    along = (high - low) / np.sqrt(12.0)
+    # A common curvature displaces the tip across the body by half of its square.
+    across = np.hypot(2 * radius_cm / np.sqrt(12.0), bend.curvature_se * arc**2 / 2)
+    axes = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+    (xx, xy), (yx, yy) = ((axes * [along**2, across**2]) @ axes.T).tolist()
+    track = [curve.pose(float(end))[:2] for end in (low, high)]
+    drawn = [(round(px, 4), round(py, 4)) for px, py in track]
+    return PlacedContact(x, y, heading, ((xx, xy), (yx, yy)), drawn)
