@@ -180,8 +180,8 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
     for number, (name, column, line) in enumerate(zip(sensors, columns, lines, strict=True)):
         # The usual slope of such a sensor, ohm cm.
         nominal = 1 / abs(sensors[name].raw_scale)
-        reason, used = "not everted at this length", 0
-        if rows.on_body[number]:
+        reason, used = "not everted at this length, or no flex sensor", 0
+        if rows.to_fit[number]:
             reason, used = _fault(column, line, rows.expected_readings(number), nominal)
         if reason or line is None:
             fits.append(FlexFit(name, False, reason, used))
@@ -189,7 +189,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> FlexResult:
             bend_sign = cast(BendSign, int(bend_signs[number]))
             fits.append(_sensor(name, column, line, curves[number], bend_sign))
     verdict = _verdict(
-        [fit for fit, everted in zip(fits, rows.on_body, strict=True) if everted], rows
+        [fit for fit, is_fitted in zip(fits, rows.to_fit, strict=True) if is_fitted], rows
     )
     return FlexResult(tuple(fits), verdict, rows, rows.loop_width)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from thigmo.calibrate.columns import constants_of, places_of
+from thigmo.calibrate.columns import constants_of, places_of, sensors_of
 from thigmo.calibrate.encoder import TIP_SE
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
@@ -22,7 +22,7 @@ from thigmo.calibrate.flex_lines import (
 )
 from thigmo.calibrate.regression import Array, LinearFit, Mask, fit_linear
 from thigmo.calibrate.verdict import listed
-from thigmo.config import SIDES, RobotConfig, Side
+from thigmo.config import SIDES, FlexSensor, RobotConfig, Side
 from thigmo.errors import DataError
 from thigmo.mechanics import Tube, phi, push, push_tip
 
@@ -39,7 +39,7 @@ class Rows:
     model: Array  # curvature that each sensor should show, 1/cm
     error: Array  # its standard error, 1/cm
     sides: list[Side]  # (m,) side of each sensor's column
-    on_body: Mask  # (m,) sensors that are everted
+    to_fit: Mask  # (m,) flex sensors that are everted
     usable: Mask  # (n, m) whether a sensor can read the row's bend
     good: Mask  # (n,) rows that can be trusted
     sweep: NDArray[np.int64]  # (n,) number of each row's sweep
@@ -53,7 +53,7 @@ class Rows:
 
     def columns(self) -> list[Column]:
         """The rows of each sensor, with the readings that count."""
-        counts = self.usable & self.good[:, None] & self.on_body
+        counts = self.usable & self.good[:, None] & self.to_fit
         ohm, block = np.where(counts, self.ohm, np.nan), self.readings.block
         turn = loop_turns(self.model, block, self.loop_width)
         parts = zip(ohm.T, self.model.T, self.error.T, turn.T, strict=True)
@@ -148,13 +148,14 @@ def model_rows(readings: FlexReadings, config: RobotConfig) -> Rows:
     unseen += np.flatnonzero((kinds == "bend") & ~np.isfinite(readings.curvature)).tolist()
     in_range = (readings.ohm > _OHM_RANGE[0]) & (readings.ohm < _OHM_RANGE[1])
     sides = [side for side, _ in places_of(config)]
+    is_flex = np.array([isinstance(sensor, FlexSensor) for sensor in sensors_of(config).values()])
     rows = Rows(
         readings,
         np.where(in_range, readings.ohm, np.nan),
         model,
         error,
         sides,
-        centers + spans / 2 <= length + 1e-6,
+        (centers + spans / 2 <= length + 1e-6) & is_flex,
         # In a free bend only the side opposite to the active muscle reads well.
         np.array(readings.active)[:, None] != np.array(sides),
         np.isfinite(model).all(axis=1),
@@ -283,7 +284,7 @@ def columns_swapped(rows: Rows) -> bool:
     for side in SIDES:
         bent = rows.good & (np.array(rows.readings.active) == side)
         spread: dict[bool, list[float]] = {True: [], False: []}  # by whether it is the active side
-        for column in np.flatnonzero(rows.on_body & (bent.sum() >= 6)).tolist():
+        for column in np.flatnonzero(rows.to_fit & (bent.sum() >= 6)).tolist():
             model = rows.model[:, column]
             design = np.column_stack([np.ones(len(model)), model])
             try:

@@ -70,8 +70,8 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
         change = rows.ohm[tips, number] - (np.nanmean(at_rest) if np.isfinite(at_rest).any() else 0)
         used = np.isfinite(change)
         power = float(change[used] @ change[used])
-        if not rows.on_body[number]:
-            reason = "not everted at this length"
+        if not rows.to_fit[number]:
+            reason = "not everted at this length, or no flex sensor"
         elif used.sum() < _LEAST_PLACES or not np.isfinite(at_rest).any():
             reason = "has too few readings in range: check its wire"
         elif power <= 0.0:
@@ -94,7 +94,7 @@ def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:
                 noise=float(np.sqrt(np.mean(residuals**2))),
             )
         )
-    everted = [fit for fit, is_everted in zip(fits, rows.on_body, strict=True) if is_everted]
+    everted = [fit for fit, is_fitted in zip(fits, rows.to_fit, strict=True) if is_fitted]
     healthy = sum(fit.healthy for fit in everted)
     verdict = Verdict(
         2 * healthy >= len(everted) > 0,

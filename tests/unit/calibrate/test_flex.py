@@ -17,7 +17,7 @@ from thigmo.calibrate.flex_rows import tip_curvature
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.step_figures import draw
 from thigmo.calibrate.steps import fit_csv
-from thigmo.config import RobotConfig
+from thigmo.config import HeadingSensor, RobotConfig
 from thigmo.errors import DataError
 from thigmo.mechanics import push
 from thigmo.record.table import Table
@@ -58,6 +58,23 @@ def test_stated_errors_cover_the_true_ones_over_many_labs(many):
         assert np.mean(np.abs(scores) > 3) < 0.02
     assert abs(np.mean(scales)) < 0.25  # no bias
     assert np.sqrt(np.mean(np.square(relative))) < 0.02
+
+
+def test_spans_of_imus_beside_flex_sensors_are_not_judged_as_these():
+    lab = Lab(5)
+    for number in (3, 4):
+        old = lab.config.sensors[number]
+        lab.config.sensors[number] = HeadingSensor(
+            kind="heading", direction_deg=old.direction_deg, center_cm=old.center_cm,
+            span_cm=10.0, i2c_address=74 + number,
+        )  # fmt: skip
+    readings = lab.flex()
+    drifting = readings.ohm.copy()
+    drifting[:, 3:5] += 40.0 * np.arange(len(drifting))[:, None]
+    result = fit_flex(replace(readings, ohm=drifting), lab.config)
+    assert result.verdict.good, result.verdict
+    assert [fit.healthy for fit in result.sensors] == [True] * 3 + [False] * 2 + [True] * 5
+    assert not any("left 3" in note for note in result.verdict.notes)
 
 
 def test_ten_tip_places_alone_leave_distal_sensors_uncertain_and_say_so():
