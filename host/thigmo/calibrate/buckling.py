@@ -95,7 +95,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
         for n in range(bench.plan.pushes)
     }
     rows = bench.rows("pushes", planned, take)
-    (scale,) = constants_of(bench.config, "scale_per_ohm")
+    (scale,) = constants_of(bench.config, "raw_scale")
     pushed_k, straight_k = column(rows, "ohm") * scale, column(rows, "rest") * scale
     flex = bench.session.good_result("flex")
     if flex is not None:

@@ -71,7 +71,7 @@ def guided(bench: Bench) -> NoiseResult:
 
     planned = {f"rest {n}": None for n in range(bench.plan.rest_readings)}
     rows = bench.rows("rest", planned, take)
-    (scale,) = constants_of(bench.config, "scale_per_ohm")
+    (scale,) = constants_of(bench.config, "raw_scale")
     ohm = column(rows, "ohm")
     level = (ohm - np.nanmedian(ohm, axis=0)) * scale
     return fit_noise(column(rows, "t_s"), level, bench.config, _loops(bench, scale))

@@ -13,13 +13,17 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.config import SIGN, Muscle, RobotConfig, Side
-from thigmo.field.readings import Errors, Floats, Readings, Stage
+from thigmo.field.readings import Errors, Floats, Indices, Readings, Stage
 from thigmo.mechanics import critical_moment
 from thigmo.robot import Peak, SensorTable, SweepResult
 from thigmo.wiring import Wiring
 
-_FRAMES = 5  # of 20 Hz, in a bin
-_SWINGS_S = 0.7  # at its start a half sweep swings
+# Of a bin: at most so many frames of 20 Hz, and so much turn of the whole free body (rad). At the
+# start of a quick sweep the body passes a touch, or what gives way, within a few frames.
+_FRAMES, _TURN = 6, 0.08
+# A half sweep swings until so many lags of its muscle have passed. From there on the two responses
+# of `_rises`, and their stated errors, hold.
+_SWINGS = 1.6
 _FLOOR = 1e-4  # 1/cm, least error of a bin: the board's rounding
 _PEAK_FRAMES = 10
 _HALF_RANGE = 3**0.5  # of evenly spread numbers, over their standard deviation
@@ -62,20 +66,22 @@ def fold_moment(config: RobotConfig, zone: int) -> float:
 def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings, Errors] | None:
     """Readings of a side's sweeps in their order, with their errors; None where there are none."""
     config, table, sign = wiring.config, SensorTable.laid_out(wiring), SIGN[side]
+    swings_s = _SWINGS * config.muscle(side).lag_s
+    most_bend = _TURN / config.body.length_cm
     rows: list[_Bin] = []
     scatter = []
     number = 0
     for sweep, zone in sweeps:
         for rise in _rises(sweep, side, config.muscle(side), zone):
             use = table.usable(side, sweep.sensors) & np.isfinite(rise.curvature).all(axis=0)
-            chosen = np.flatnonzero(rise.t_s >= rise.t_s[0] + _SWINGS_S)
+            chosen = np.flatnonzero(rise.t_s >= rise.t_s[0] + swings_s)
             if chosen.size > _ENOUGH:  # white noise: what is left of second differences
                 rough = np.diff(rise.curvature[chosen], 2, axis=0).std(axis=0) / 6**0.5
                 scatter.append(np.where(use, rough, np.nan))
             rate = np.gradient(rise.bend, rise.t_s) if rise.t_s.size > 1 else np.zeros(1)
             stage = Stage(round(rise.peak.length_cm, 2), zone)
-            for part in np.array_split(chosen, max(1, chosen.size // _FRAMES)):
-                if part.size and use.any():
+            for part in _bins(chosen, rise.bend, most_bend):
+                if use.any():
                     y = np.where(use, rise.curvature[part].mean(axis=0), np.nan)
                     bend, half = rise.bend[part], float(_HALF_RANGE * rise.bend[part].std())
                     mean = float(bend.mean()), float(rate[part].mean())
@@ -115,6 +121,18 @@ def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings,
         response=sign * np.array([row.response for row in rows]),
     )
     return readings, stated(wiring, side, has_reading)
+
+
+def _bins(frames: Indices, bend: Floats, most_bend: float) -> list[Indices]:
+    """Frames (n,), by their numbers, in bins of few frames and little bend."""
+    bins: list[Indices] = []
+    first = 0
+    for last in range(1, frames.size + 1):
+        full = last == frames.size or last - first == _FRAMES
+        if full or abs(bend[frames[last]] - bend[frames[first]]) > most_bend:
+            bins.append(frames[first:last])
+            first = last
+    return bins
 
 
 class _Rise(NamedTuple):
