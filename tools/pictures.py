@@ -1,15 +1,18 @@
-"""Pictures of the page for the documentation: docs/pictures/watch*.png.
+"""Pictures of the page, before, during and after a run, in light, dark and on a phone.
 
     .venv/bin/python tools/pictures.py
 
 explores a room with two pegs on the emulator, with the page open in Chromium (`apt-get install
-chromium`; with `fonts-inter` they look as they do in the repository), and keeps a moment of a sweep
-that measures a contact, in light, dark and on a phone, and the finished run with its player.
+chromium`; with `fonts-inter` they look as they do in the repository). It keeps the page before
+Start, at a moment of a sweep that measures a contact, after the run, and of its record with the
+player, all in build/pictures, to be looked at. Those that the documentation shows go to
+docs/pictures as well.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,7 +24,9 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
-PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
+ROOT = Path(__file__).resolve().parents[1]
+PICTURES = ROOT / "build" / "pictures"
+SHOWN = ROOT / "docs" / "pictures"
 WORDS_MS = 300_000  # until a page has what it shows
 RUN_MS = 600_000  # until a run has come to the moment of the picture
 LOOKS = {
@@ -72,6 +77,8 @@ def keep(page: Page, name: str) -> None:
     page.screenshot(path=path)
     with Image.open(path) as picture:
         picture.convert("RGB").save(path, optimize=True)
+    if (SHOWN / path.name).exists():
+        shutil.copy(path, SHOWN)
     print(f"{path}: {path.stat().st_size // 1024} kB")
 
 
@@ -84,10 +91,14 @@ def opened(browser: Browser, address: str, name: str) -> Page:
 
 
 def explored(browser: Browser, runs: str) -> None:
-    """The run under way, in all looks."""
+    """A run before, during and after it, in all looks."""
     with served("emulator://two_pegs", "--out", runs) as address:
         pages = {name: opened(browser, address, name) for name in LOOKS}
         first = pages["watch"]
+        for name, page in pages.items():
+            page.locator("#start").wait_for()
+            page.evaluate(DRAWN)
+            keep(page, f"{name}-before")
         first.locator("#pace").select_option("realtime")
         first.locator("#parameters summary").click()
         first.locator('[data-flag="--seed"]').fill("1")
@@ -102,10 +113,13 @@ def explored(browser: Browser, runs: str) -> None:
             page.evaluate("thigmo.still = true")
         for name, page in pages.items():
             keep(page, name)
+            page.evaluate("thigmo.still = false")
         os.kill(run, signal.SIGCONT)
-        first.evaluate("thigmo.still = false")
-        first.wait_for_function("() => thigmo.store.page.ended", timeout=RUN_MS)
-        for page in pages.values():
+        for name, page in pages.items():
+            page.locator("#result-map").wait_for(timeout=RUN_MS)
+            page.evaluate("scrollTo(0, 0)")
+            page.evaluate(DRAWN)
+            keep(page, f"{name}-after")
             page.close()
 
 
@@ -120,7 +134,7 @@ def looked_back_at(browser: Browser, run: Path) -> None:
 
 def main() -> None:
     """Make all pictures."""
-    PICTURES.mkdir(exist_ok=True)
+    PICTURES.mkdir(parents=True, exist_ok=True)
     chromium = os.environ.get("CHROMIUM", "/usr/bin/chromium")
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as runs:
         browser = playwright.chromium.launch(executable_path=chromium)

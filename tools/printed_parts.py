@@ -163,7 +163,7 @@ def draw(pieces: dict[str, Part]) -> None:
         place.axis("off")
     figure.tight_layout()
     plt.rcParams["svg.hashsalt"] = "printed"
-    figure.savefig(FOLDER / "pieces.svg", metadata={"Date": None})
+    figure.savefig(FOLDER / "pieces.svg", bbox_inches="tight", metadata={"Date": None})
 
 
 def main() -> None:

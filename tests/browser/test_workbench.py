@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -84,6 +85,25 @@ def test_a_run_that_has_just_ended_has_a_card_too(
         expect(page.locator("#run-name")).to_have_text("scripted")
         expect(page.locator("#result")).to_be_hidden()
     expect(page.locator("#result")).to_contain_text("Result: full length")
+
+
+def test_the_card_gets_a_map_that_is_drawn_after_the_end(
+    looking: Looking,
+    serve_page: ServePage,
+    pair: tuple[ExplorationResult, ExplorationResult],
+    tmp_path: Path,
+) -> None:
+    folder = Path(shutil.copytree(pair[0].folder, tmp_path / pair[0].folder.name))
+    picture = (folder / "map.png").read_bytes()
+    (folder / "map.png").unlink()
+    with ScriptedRun(folder=str(folder)) as run:
+        page = looking.open(serve_page().address)
+        run.state()
+        expect(page.locator("#run-name")).to_have_text("scripted")
+    expect(page.locator("#result")).to_contain_text("Result: full length")
+    expect(page.locator("#result-map")).to_be_hidden()
+    (folder / "map.png").write_bytes(picture)
+    expect(page.locator("#result-map")).to_be_visible()
 
 
 def test_runs_are_listed_found_opened_and_laid_over_each_other(

@@ -46,6 +46,7 @@ _TRIAL_GAIN, _TRIAL_GAIN_COUNT = 0.015, 2
 _MOST_SE = 0.02  # largest standard error of g, as a share of full scale
 _MOST_OVER = 1.25  # times max_pressure_psi: a calibration goes a little above what sweeps use
 _LEAST_BEND = 1e-3  # 1/cm, that the upper half of the pressures must reach
+_MOST_MISFIT = 0.05  # of full scale, by which a map may miss the bends at some pressure
 
 
 @dataclass(frozen=True)
@@ -404,6 +405,7 @@ def fit_actuator(readings: BendReadings) -> ActuatorResult:
     spread = float(np.std(offsets, ddof=1)) if len(trials) > 1 else offset_sigma
     shifted_trials = trials[np.abs(offsets - np.median(offsets)) > 3e-3]
     full_scale = float(inflate.curvature(highest))
+    notes += _misfit_notes(p[used], residual[used], full_scale)
     if len(shifted_trials):
         names = ", ".join(map(str, shifted_trials.tolist()))
         notes.append(f"trial {names} is bent by a constant against the others")
@@ -447,6 +449,23 @@ def _maps(
     return built, errors
 
 
+def _misfit_notes(pressure_psi: Array, residual: Array, full_scale: float) -> list[str]:
+    """Where the bends of all trials leave the map, which is a tanh; more trials do not help."""
+    bins = np.digitize(pressure_psi, np.linspace(0.0, pressure_psi.max(), 9)[1:-1])
+    levels = [bins == number for number in np.unique(bins)]
+    misfits = [float(np.median(residual[level])) for level in levels]
+    worst = int(np.argmax(np.abs(misfits)))
+    share = abs(misfits[worst]) / max(full_scale, 1e-9)
+    if share < _MOST_MISFIT:
+        return []
+    near_psi = float(np.median(pressure_psi[levels[worst]]))
+    return [
+        f"near {near_psi:.1f} psi the muscle bends {100 * share:.0f} % of full scale "
+        f"{'more' if misfits[worst] > 0 else 'less'} than its map, a tanh, in all trials: measure "
+        "only the pressures that sweeps use, or expect larger errors there"
+    ]
+
+
 def _wrong_bend_reason(readings: BendReadings, bend: float) -> str:
     """The likely reason why a muscle does not bend the body towards itself."""
     name = readings.muscle
@@ -482,7 +501,11 @@ def _judge(
         return False, "a third of the bends disagree with any smooth map"
     # More trials do not help beyond the error of the sensors' scales.
     if share > max(_MOST_SE, readings.scale_se):
-        return False, f"g is known to {100 * share:.1f} % of full scale only; add trials"
+        taken = len(np.unique(readings.trial))  # the error falls with the root of it
+        least = int(np.ceil(taken * (share / max(_MOST_SE, readings.scale_se)) ** 2))
+        return False, (
+            f"g is known to {100 * share:.1f} % of full scale only; add trials, to {least} at least"
+        )
     reason = f"g known to {100 * share:.2f} % of full scale ({full:.4f} 1/cm)"
     if readings.sensors:
         reason += (

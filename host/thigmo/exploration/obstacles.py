@@ -220,11 +220,16 @@ def _near_line(
         across_cm = float(np.sqrt(normal @ np.asarray(obstacle.covariance_cm2) @ normal))
     reach = sigmas * across_cm + grid.resolution_cm * np.sqrt(0.5)
     centers = np.stack(grid.centers(), axis=-1)
+    corner, last = np.array(grid.origin[:2]), np.array(grid.cells.shape[::-1])
     for start, end in pairwise(np.asarray([*points, *points[-1:]])):
+        # The cells around a piece of the line: a map of a building has a million others.
+        ends = np.array([np.minimum(start, end) - reach, np.maximum(start, end) + reach])
+        cells = np.clip((ends - corner) // grid.resolution_cm + [[0], [1]], 0, last).astype(int)
+        window = slice(*cells[:, 1]), slice(*cells[:, 0])
         along = end - start
-        share = (centers - start) @ along / max(along @ along, np.finfo(float).tiny)
+        share = (centers[window] - start) @ along / max(along @ along, np.finfo(float).tiny)
         nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-        near |= ((centers - nearest) ** 2).sum(axis=-1) <= reach**2
+        near[window] |= ((centers[window] - nearest) ** 2).sum(axis=-1) <= reach**2
     return near
 
 

@@ -52,7 +52,7 @@ class Attendant:
 
     def _request(self, text: str) -> None:
         if self.ask:
-            self.ask(text)
+            self.ask(f"{text} Answer when this is done:")
 
     @property
     def _hands(self) -> Any:
@@ -78,7 +78,7 @@ class Attendant:
                 f"push the robot's axis there to the {away} until it is at y = {y:+.1f} cm"
             )
         fold = "; the base folds" if trial.folds else ""
-        self._request(f"{trial.label}: set {'; and '.join(parts)}{fold}. Then press Enter.")
+        self._request(f"{trial.label}: set {'; and '.join(parts)}{fold}.")
         if self._hands:
             pushes = list(zip(trial.arcs_cm, pushes_cm, strict=True))
             self._hands.push_aside(pushes, thesis.DOWEL_CM)
@@ -89,7 +89,7 @@ class Attendant:
         self._request(
             f"{trial.label}: the robot is bent to the {trial.side}. Set a dowel firmly so that "
             f"it just touches the robot's {trial.side} side {contact_arc:.1f} cm along it from its "
-            "base. Then press Enter; the robot will bend on, against the dowel."
+            "base. The robot will then bend on, against the dowel."
         )
         if self.robot:
             arc, *line = self.robot.scenery().centreline.T

@@ -91,27 +91,30 @@ def named(
 ) -> None:
     """Write each point's name beside it, without covering points, other names or stairs.
 
-    The figure must have been drawn. A name without room goes to the right margin. Stairs are the
+    The figure must have been drawn. A name without room covers as little as it can. Stairs are the
     points of a line of steps, each of which follows its point.
     """
     frame = axis.get_window_extent().padded(-1)
     occupied = [Bbox.from_bounds(x - 6, y - 6, 12, 12) for x, y in axis.transData.transform(points)]
     for (x0, y0), (x1, y1) in pairwise(axis.transData.transform(np.reshape(stairs, (-1, 2)))):
         occupied += [Bbox.from_extents(x0, y0 - 2, x1, y0 + 2), Bbox.from_extents(x1, y1, x1, y0)]
+    place = (1, 0)  # side and rise
     for name, point in zip(names, points, strict=True):
         text = axis.annotate(
             name, point, (5, 0), textcoords="offset points", fontsize=7, va="center",
             path_effects=[withStroke(linewidth=1.5, foreground="white")],
         )  # fmt: skip
-        for rise, side in product(sorted(range(-44, 45, 4), key=abs), (1, -1)):
+        fewest = np.inf
+        for rise, side in product(sorted(range(-88, 89, 4), key=abs), (1, -1)):
             text.set(position=(6 * side, rise), ha="left" if side > 0 else "right")
             box = text.get_window_extent()
-            inside = frame.contains(*box.min) and frame.contains(*box.max)
-            if inside and not box.count_overlaps(occupied):
+            covered = box.count_overlaps(occupied)
+            if frame.contains(*box.min) and frame.contains(*box.max) and covered < fewest:
+                fewest, place = covered, (side, rise)
+            if not fewest:
                 break
-        else:
-            rise = 0
-            text.set(position=(6, rise), ha="left")
+        side, rise = place
+        text.set(position=(6 * side, rise), ha="left" if side > 0 else "right")
         occupied.append(text.get_window_extent().padded(2, 0))
         if rise:
             axis.annotate(

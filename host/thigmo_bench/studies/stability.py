@@ -286,13 +286,25 @@ _MEASURES = (("mean error (cm)", 15.0), (f"no answer, or > {FAILURE_CM:g} cm (%)
 _ABREAST = 4  # panels in a row, so that the numbers in the cells can be read in print
 
 
+def _title(stress: Stress, errors: Floats) -> str:
+    """The mean error over all cells: of the default method, and of the best and the worst other."""
+    means = {
+        method: mean_and_failures(errors[..., m].ravel())[0]
+        for m, method in enumerate(stress.methods)
+    }
+    default, *others = means
+    named = sorted((m for m in others if np.isfinite(means[m])), key=means.__getitem__)
+    words = dict(zip(named[:1] + named[-1:], ("best other", "worst"), strict=False))
+    ends = [f"{word} {method} {means[method]:.1f} cm" for method, word in words.items()]
+    return ", ".join([f"Mean error over all cells: {default} {means[default]:.1f} cm", *ends])
+
+
 def _figure(stress: Stress, errors: Floats) -> Figure:
     """A map of the cells for each method: mean error above, failures below."""
     methods = stress.methods
     figure, axes = charts.panels(
         2 * -(-len(methods) // _ABREAST), _ABREAST, size=(1.9, 1.8), share="all",
-        title="Error and failures of each method over "
-        + f"{stress.row_label} and {stress.column_label}".removesuffix(" and -"),
+        title=_title(stress, errors),
     )  # fmt: skip
     rows = np.reshape(np.array(axes), (-1, _ABREAST))
     columns = [f"{v:g}" for v in stress.columns] if len(stress.columns) > 1 else [""]

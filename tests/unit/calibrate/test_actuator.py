@@ -333,3 +333,25 @@ def test_bends_at_high_pressures_alone_are_no_map(tmp_path):
     (tmp_path / "bends.csv").write_text("\n".join([rows[0], *high]) + "\n")
     with pytest.raises(DataError, match="ten pressures from 0"):
         of_csv(Table.read(tmp_path / "bends.csv"), RobotConfig())
+
+
+def test_bends_that_no_tanh_follows_are_named_and_trials_counted():
+    psi = np.linspace(0.0, 8.0, 20)
+    step = np.interp(psi, [0.0, 4.5, 4.9, 8.0], [0.0, 0.012, 0.08, 0.226])  # of a sold actuator
+    rng = np.random.default_rng(2)
+    bent = [step + rng.normal(0, 3e-4, step.size) for _ in range(4)]
+
+    def fitted(count: int) -> str:
+        lone = bends(1, trials=1)
+        readings = BendReadings(
+            lone.muscle, lone.body_pressure_psi, np.tile(psi, count), np.concatenate(bent[:count]),
+            np.full(count * psi.size, 2e-4), ("inflate",) * (count * psi.size),
+            np.repeat(np.arange(count), psi.size),
+        )  # fmt: skip
+        return str(fit_actuator(readings).verdict)
+
+    once, often = fitted(1), fitted(4)
+    assert "add trials, to " in once
+    assert "than its map, a tanh, in all trials" in once
+    assert "than its map, a tanh, in all trials" in often
+    assert "than its map" not in str(fit_actuator(bends(1)).verdict)

@@ -4,6 +4,8 @@ import { read } from "./feed.js";
 import { $, element, store } from "./store.js";
 import { rounded } from "./svg.js";
 
+const MAP_MS = 1000; // a run draws its map after its end, so the page asks for it again,
+const MAP_TRIES = 30; // so often
 let drawn = null, asked = "";
 
 export const runName = (folder) => folder.split(/[/\\]/).at(-1);
@@ -25,10 +27,12 @@ export function drawResult() {
   if (card) fill(card);
 }
 
-async function ask({ id, folder }) {
+async function ask({ id, folder }, tries = MAP_TRIES) {
   const page = await read(`${runAt(runName(folder))}/page.json`);
+  if (asked !== id) return;
   store.result = page && (page.problem ? { id, problem: page.problem } : { ...page.result, id });
   drawResult();
+  if (tries && page?.result && !page.result.map) setTimeout(() => ask({ id, folder }, tries - 1), MAP_MS);
 }
 
 function fill({ outcome, effort, skips, robot_time_s, length_cm, contacts, error_cm, missed, false: wrong, map, folder, problem }) {
