@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +22,7 @@ from thigmo.config import SIDES, FlexSensor, Muscle, MuscleMap, RobotConfig, Tan
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
 from thigmo.wiring import Wiring
+from thigmo_bench.studies.gallery import gallery_robot
 
 pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
 
@@ -177,11 +177,8 @@ def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
         fit_actuator(elsewhere).apply(RobotConfig())
 
 
-CATHETER = Path(__file__).resolve().parents[3] / "docs" / "robots" / "catheter.toml"
-
-
 def test_a_map_of_a_body_without_pressure_is_put_in():
-    robot = RobotConfig.load(CATHETER)
+    robot = gallery_robot("catheter")
     assert [zone.pressure_psi for zone in robot.body.zones] == [0.0]
     unpressed = fit_actuator(replace(bends(6), body_pressure_psi=0.0))
     assert unpressed.apply(robot).muscle("left").maps == [unpressed.muscle_map]
