@@ -143,7 +143,7 @@ def throughput(rig: Rig) -> list[Figure]:
     robot.set_parameter("telemetry_ms", [1])
     robot.wait(0.1)
     transport.stop_heartbeat()
-    before = client.request(wire.GetLinkStats())
+    old_stats = client.request(wire.GetLinkStats())
     sent, counter = 0, 1_000_000
     rig.wire.clear()
     start = rig.chip.cycle
@@ -159,13 +159,16 @@ def throughput(rig: Rig) -> list[Figure]:
     seconds = (rig.chip.cycle - start) / 16e6
     up = sum(len(part) for part, _ in rig.wire) / seconds
     transport.pass_time(0.05)
-    after = client.request(wire.GetLinkStats())
-    down = after.rx_frames - before.rx_frames
+    new_stats = client.request(wire.GetLinkStats())
+    down = new_stats.rx_frames - old_stats.rx_frames
     return [
         Figure("link up, both ways full", round(up), "byte/s"),
         Figure("link down, both ways full", round(down / seconds), "frame/s"),
         Figure(
-            "frames lost at that", sent + 1 - down + after.rx_overruns - before.rx_overruns, "", 0
+            "frames lost at that",
+            sent + 1 - down + new_stats.rx_overruns - old_stats.rx_overruns,
+            "",
+            0,
         ),
     ]
 
@@ -186,7 +189,9 @@ def commands(rig: Rig) -> list[Figure]:
         rig.forget_frames()
         sent = rig.chip.cycle
         client.request(wire.GetParameter(number % wire.PARAMETER_COUNT))
-        reply = next(at for message, at in rig.frames() if isinstance(message, wire.ParameterValue))
+        reply = next(
+            cycle for message, cycle in rig.frames() if isinstance(message, wire.ParameterValue)
+        )
         times.append((reply - sent) / US / 1000)
     return [
         Figure("command to reply on the wire, median", round(float(np.median(times)), 3), "ms"),
@@ -268,7 +273,7 @@ def _step_run(with_step: bool) -> tuple[Rig, int, int, list[tuple[int, int]]]:
         table = np.full((400, CHANNELS), NO_COUNT, dtype=np.uint16)
         table[:, 5] = level + STEP_COUNTS
         chip.feed_trace(table, first)
-    at = chip.tick_origin + first * CYCLES_PER_MS + 3 * 1664 + 192  # slot 3, its sample
+    step_cycle = chip.tick_origin + first * CYCLES_PER_MS + 3 * 1664 + 192  # slot 3, its sample
     rig.forget_frames()
     drives = []
     transport = client.transport
@@ -281,12 +286,12 @@ def _step_run(with_step: bool) -> tuple[Rig, int, int, list[tuple[int, int]]]:
 
     rig.step = watched  # type: ignore[method-assign]
     transport.pass_time(0.12)
-    return rig, at, first, drives
+    return rig, step_cycle, first, drives
 
 
 def trigger_latency() -> list[Figure]:
     """From a step of the base sensor's voltage to the event's last byte, and to the valve."""
-    rig, at, first, drives = _step_run(with_step=True)
+    rig, step_cycle, first, drives = _step_run(with_step=True)
     _, _, _, calm = _step_run(with_step=False)
     event, on_wire = next(
         (message, cycle)
@@ -295,12 +300,16 @@ def trigger_latency() -> list[Figure]:
     )
     decided_ms = event.t_us / 1000 - (first + 0.832)  # ticks of filter and debounce
     reacted = next(a[0] for a, b in zip(drives, calm, strict=True) if a[1] != b[1])
-    total = (on_wire - at) / US / 1000
+    total = (on_wire - step_cycle) / US / 1000
     return [
         Figure("trigger's filter and debounce", round(decided_ms, 3), "ms"),
         Figure("trigger: step to event on the wire", round(total, 3), "ms"),
         Figure("trigger: beyond filter and debounce", round(total - decided_ms, 3), "ms", 5),
-        Figure("trigger: step to the valve's reaction", round((reacted - at) / US / 1000, 1), "ms"),
+        Figure(
+            "trigger: step to the valve's reaction",
+            round((reacted - step_cycle) / US / 1000, 1),
+            "ms",
+        ),
     ]
 
 

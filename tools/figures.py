@@ -215,44 +215,32 @@ def _decimals(value: float | None, digits: int = 2) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
+# Heads of the columns of robots that were explored or pushed, their keys in a row, and formats.
+_ROBOT_COLUMNS = (
+    ("robot", "robot", "s"),
+    ("check", "check", "s"),
+    ("rooms", "rooms", "d"),
+    ("missed, %", "missed_percent", ".3g"),
+    ("localized wrong, %", "wrong_percent", ".3g"),
+    ("localized", "localized", "d"),
+    ("median error, % of length", "error_percent", ".2g"),
+    ("largest error, %", "worst_percent", ".2g"),
+    ("outside of their ellipses, %", "outside_percent", ".2g"),
+    ("empty rooms", "empty_rooms", "d"),
+    ("localized in these", "empty_localized", "d"),
+    ("runs aborted", "aborted", "d"),
+)
+
+
 def _robots(studies: list[dict[str, Any]]) -> list[Grid]:
-    """A row a robot."""
+    """A row a robot; those of the gallery have what `thigmo robot check` says of their file."""
     (study,) = studies
-    head = (
-        "robot", "rooms", "missed, %", "localized wrong, %", "localized",
-        "median error, % of length", "largest error, %", "outside of their ellipses, %",
-        "empty rooms", "localized in these", "runs aborted",
-    )  # fmt: skip
+    columns = [column for column in _ROBOT_COLUMNS if column[1] in study["rows"][0]]
     rows = [
-        (
-            row["robot"], str(row["rooms"]), f"{row['missed_percent']:.3g}",
-            f"{row['wrong_percent']:.3g}", str(row["localized"]), f"{row['error_percent']:.2g}",
-            f"{row['worst_percent']:.2g}", f"{row['outside_percent']:.2g}",
-            str(row["empty_rooms"]), str(row["empty_localized"]), str(row["aborted"]),
-        )
+        tuple("" if row[key] is None else f"{row[key]:{digits}}" for _, key, digits in columns)
         for row in study["rows"]
-    ]  # fmt: skip
-    return [Grid(head, rows)]
-
-
-def _gallery(studies: list[dict[str, Any]]) -> list[Grid]:
-    """A row a robot of the gallery, with what `thigmo robot check` says of its file."""
-    (study,) = studies
-    head = (
-        "robot", "check", "rooms", "missed, %", "localized", "localized wrong, %",
-        "median error, % of length", "largest error, %", "empty rooms", "localized in these",
-        "runs aborted",
-    )  # fmt: skip
-    rows = [
-        (
-            row["robot"], row["check"], str(row["rooms"]), f"{row['missed_percent']:.3g}",
-            str(row["localized"]), f"{row['wrong_percent']:.3g}", f"{row['error_percent']:.2g}",
-            f"{row['worst_percent']:.2g}", str(row["empty_rooms"]), str(row["empty_localized"]),
-            str(row["aborted"]),
-        )
-        for row in study["rows"]
-    ]  # fmt: skip
-    return [Grid(head, rows)]
+    ]
+    return [Grid(tuple(head for head, _, _ in columns), rows)]
 
 
 def _notes(study: dict[str, Any]) -> list[Row]:
@@ -464,7 +452,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
 GRIDS: dict[str, Callable[[Any], list[Grid]]] = {
     "exploration": _explored_rooms,
     "robots": _robots,
-    "gallery": _gallery,
+    "gallery": _robots,
     "accuracy": _accuracy,
     "mistakes": _mistakes,
     "loads": _loads,

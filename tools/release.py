@@ -166,9 +166,9 @@ def megabytes(folder: Path) -> float:
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6
 
 
-def processor_s(before: os.times_result) -> float:
+def processor_s(start: os.times_result) -> float:
     """Seconds of processor time that commands took: the computer may be busy with others."""
-    return sum(os.times()[2:4]) - sum(before[2:4])
+    return sum(os.times()[2:4]) - sum(start[2:4])
 
 
 def check(python: str, wheel: Path, work: Path) -> None:

@@ -41,9 +41,9 @@ def _sheet(title: str) -> schemdraw.Drawing:
 
 
 def _text(
-    d: schemdraw.Drawing, at: Point, text: str, align: str = "left", size: int = FONT_PT
+    d: schemdraw.Drawing, place: Point, text: str, align: str = "left", size: int = FONT_PT
 ) -> None:
-    d.add(elm.Label().theta(0).at(at).label(text, loc="center", halign=align, fontsize=size))
+    d.add(elm.Label().theta(0).at(place).label(text, loc="center", halign=align, fontsize=size))
 
 
 def _wire(d: schemdraw.Drawing, *points: Point) -> None:
@@ -57,17 +57,17 @@ def _part(
     d.add(kind().at(start).to(end).label(text, loc=loc, ofst=0.12))
 
 
-def _ground(d: schemdraw.Drawing, at: Point) -> None:
-    d.add(elm.Ground().at(at))
+def _ground(d: schemdraw.Drawing, place: Point) -> None:
+    d.add(elm.Ground().at(place))
 
 
-def _rail(d: schemdraw.Drawing, at: Point, text: str) -> None:
-    d.add(elm.Vdd().at(at).label(text))
+def _rail(d: schemdraw.Drawing, place: Point, text: str) -> None:
+    d.add(elm.Vdd().at(place).label(text))
 
 
-def _tag(d: schemdraw.Drawing, at: Point, text: str) -> None:
+def _tag(d: schemdraw.Drawing, place: Point, text: str) -> None:
     """A pin or plug from which a wire leaves to the right."""
-    d.add(elm.Tag(width=at[0]).left().at(at).label(text))
+    d.add(elm.Tag(width=place[0]).left().at(place).label(text))
 
 
 def _box(d: schemdraw.Drawing, corner: Point, size: Point, text: str) -> None:
@@ -219,21 +219,21 @@ def power() -> schemdraw.Drawing:
     _ground(d, (7.4, y - 1.1))
     _box(d, (11.4, y - 3.7), (4.6, 4.7), "")
     _text(d, (13.7, y + 0.6), "A2 MD10C", "center")
-    for name, at in (("POWER +", y), ("POWER -", y - 0.7)):
-        _text(d, (11.6, at), name)
+    for name, place in (("POWER +", y), ("POWER -", y - 0.7)):
+        _text(d, (11.6, place), name)
     _wire(d, (11.4, y - 0.7), (10.6, y - 0.7))
     _ground(d, (10.6, y - 0.7))
-    for name, at, pin, pull in (
+    for name, place, pin, pull in (
         ("PWM", y - 2.1, "Mega 6", "R42 10k"),
         ("DIR", y - 2.7, "Mega 7", "R43 10k"),
         ("GND", y - 3.3, "Mega GND", ""),
     ):
-        _text(d, (11.6, at), name)
-        _wire(d, (10.0, at), (11.4, at))
-        _text(d, (9.8, at), f"{pin}, {pull} to GND" if pull else pin, "right")
-    for name, at in (("A", y - 0.4), ("B", y - 2.6)):
-        _text(d, (15.8, at), name, "right")
-        _wire(d, (16.0, at), (18.6, at))
+        _text(d, (11.6, place), name)
+        _wire(d, (10.0, place), (11.4, place))
+        _text(d, (9.8, place), f"{pin}, {pull} to GND" if pull else pin, "right")
+    for name, place in (("A", y - 0.4), ("B", y - 2.6)):
+        _text(d, (15.8, place), name, "right")
+        _wire(d, (16.0, place), (18.6, place))
     _part(d, elm.Motor, (18.6, y - 0.4), (18.6, y - 2.6), "M1 12 V", "bottom")
     _text(d, (16.1, y + 0.05), "J4.1")
     _text(d, (16.1, y - 2.2), "J4.2")
@@ -286,19 +286,19 @@ def brake() -> schemdraw.Drawing:
         (14.8, "Mega 29", ("R48", "C45", "D49", "D50", "C43", "R65", "R50", "Q51", "D44", "D45"),
          "BR1", "J16.2", "+12 V MOTOR"),
     ):  # fmt: skip
-        pull, pump, up, over, hold, leak, gate, fet_name, diode, zener = names
+        pull, pump, up, link, hold, leak, gate, fet_name, diode, zener = names
         d.add(elm.Tag(width=2.2).left().at((x + 1.8, y)).label(pin))
         _wire(d, (x + 1.8, y), (x + 2.2, y))
         _part(d, elm.Resistor, (x + 2.2, y), (x + 2.2, y - 2.2), f"{pull} 10k", "bottom")
         _part(d, elm.Capacitor, (x + 2.2, y), (x + 4.4, y), f"{pump} 220 nF")
         _part(d, elm.Schottky, (x + 4.4, y - 2.2), (x + 4.4, y), up, "bottom")
-        _part(d, elm.Schottky, (x + 4.4, y), (x + 6.2, y), over)
+        _part(d, elm.Schottky, (x + 4.4, y), (x + 6.2, y), link)
         _part(d, elm.Capacitor, (x + 6.2, y), (x + 6.2, y - 2.2), f"{hold} 470 nF", "bottom")
         _part(d, elm.Resistor, (x + 8.8, y), (x + 8.8, y - 2.2), f"{leak} 47k", "bottom")
         _wire(d, (x + 6.2, y), (x + 8.8, y))
         _part(d, elm.Resistor, (x + 8.8, y), (x + 10.6, y), f"{gate} 1k")
-        for at in (2.2, 4.4, 6.2, 8.8):
-            _ground(d, (x + at, y - 2.2))
+        for place in (2.2, 4.4, 6.2, 8.8):
+            _ground(d, (x + place, y - 2.2))
         _dot(d, (x + 2.2, y), (x + 4.4, y), (x + 6.2, y), (x + 8.8, y))
         drain = (x + 12.0, y + 0.75)
         fet = d.add(elm.NFet().theta(0).reverse().at(drain))
@@ -344,8 +344,8 @@ def sensors() -> schemdraw.Drawing:
 
     y = -3.4
     _box(d, (14.0, y - 2.0), (3.8, 2.7), "P1\nHoneywell SSC\n0..60 psi gauge")
-    for name, at in (("J8.1", y), ("J8.2", y - 0.7), ("J8.3", y - 1.4)):
-        _text(d, (18.0, at + 0.28), name)
+    for name, place in (("J8.1", y), ("J8.2", y - 0.7), ("J8.3", y - 1.4)):
+        _text(d, (18.0, place + 0.28), name)
     _wire(d, (17.8, y), (23.4, y))
     _rail(d, (23.4, y), "5 V")
     _wire(d, (17.8, y - 0.7), (21.6, y - 0.7))
@@ -360,15 +360,15 @@ def sensors() -> schemdraw.Drawing:
 
     y = -11.0
     _box(d, (14.0, y - 2.4), (3.8, 3.0), "M1's encoder")
-    for name, at, where in (
+    for name, place, where in (
         ("J5.1 5 V", y, "5 V"),
         ("J5.2 A", y - 0.6, "Mega 2"),
         ("J5.3 B", y - 1.2, "Mega 3"),
         ("J5.4 GND", y - 1.8, "Mega GND"),
     ):
-        _wire(d, (17.8, at), (21.6, at))
-        _text(d, (18.0, at + 0.2), name)
-        _text(d, (21.8, at), where)
+        _wire(d, (17.8, place), (21.6, place))
+        _text(d, (18.0, place + 0.2), name)
+        _text(d, (21.8, place), where)
     _text(d, (14.0, y - 3.0), "A leads B while paying out; pull-ups are in the Mega")
     _text(d, (14.0, y - 3.6), "in A and B, at the Mega: R71, R72 1k, C71, C72 1 nF to GND,")
     _text(d, (14.0, y - 4.2), "then two inverters each of U2 (74HC14)")
@@ -442,15 +442,15 @@ def pico() -> schemdraw.Drawing:
     def pin(name: str) -> str:
         return f"GP{pins[name]}"
 
-    def into(at: Point, text: str) -> None:
-        d.add(elm.Tag(width=2.2).left().at(at).label(text))
+    def into(place: Point, text: str) -> None:
+        d.add(elm.Tag(width=2.2).left().at(place).label(text))
 
-    def out_of(at: Point, text: str) -> None:
-        d.add(elm.Tag(width=2.4).right().at(at).label(text))
+    def out_of(place: Point, text: str) -> None:
+        d.add(elm.Tag(width=2.4).right().at(place).label(text))
 
-    def down(kind: type, at: Point, text: str, length: float = 2.0) -> None:
-        _part(d, kind, at, (at[0], at[1] - length), text, "bottom")
-        _ground(d, (at[0], at[1] - length))
+    def down(kind: type, place: Point, text: str, length: float = 2.0) -> None:
+        _part(d, kind, place, (place[0], place[1] - length), text, "bottom")
+        _ground(d, (place[0], place[1] - length))
 
     d = _sheet("PICO (A3) in place of the Mega. A design that has not been tried on hardware")
 
@@ -493,27 +493,27 @@ def pico() -> schemdraw.Drawing:
         ("adc_select_other", "R84", "3.3 V", ""),
     )
     for row, (name, pull, rail, end) in enumerate(inputs):
-        at = y - 0.7 * row
-        _text(d, (x - 1.0, at), f"{pin(name)}, {pull} 10k to {rail}", "right")
-        _wire(d, (x - 0.8, at), (x, at))
-        _wire(d, (x + 2.6, at), (x + (5.4 if end else 3.2), at))
-        _text(d, (x + (5.6 if end else 3.3), at), end or "CS of U4")
-    at = y - 3.4
-    _text(d, (x + 5.6, at), "DOUT")
-    _text(d, (x + 2.4, at + 0.35), "DOUT of U4 too")
-    _wire(d, (x + 5.4, at), (x + 1.8, at))
-    _part(d, elm.Resistor, (x + 1.8, at), (x - 1.2, at), "R93 2.2k", "bottom")
-    down(elm.Resistor, (x - 1.2, at), "R94 3.9k")
-    _wire(d, (x - 1.2, at), (x - 2.0, at))
-    into((x - 2.0, at), pin("adc_miso"))
-    _dot(d, (x - 1.2, at))
+        place = y - 0.7 * row
+        _text(d, (x - 1.0, place), f"{pin(name)}, {pull} 10k to {rail}", "right")
+        _wire(d, (x - 0.8, place), (x, place))
+        _wire(d, (x + 2.6, place), (x + (5.4 if end else 3.2), place))
+        _text(d, (x + (5.6 if end else 3.3), place), end or "CS of U4")
+    place = y - 3.4
+    _text(d, (x + 5.6, place), "DOUT")
+    _text(d, (x + 2.4, place + 0.35), "DOUT of U4 too")
+    _wire(d, (x + 5.4, place), (x + 1.8, place))
+    _part(d, elm.Resistor, (x + 1.8, place), (x - 1.2, place), "R93 2.2k", "bottom")
+    down(elm.Resistor, (x - 1.2, place), "R94 3.9k")
+    _wire(d, (x - 1.2, place), (x - 2.0, place))
+    into((x - 2.0, place), pin("adc_miso"))
+    _dot(d, (x - 1.2, place))
     for row, line in enumerate((
         "U3 CH0 to CH4: flex left, A0..A4; CH5 to CH7: flex right, A5..A7",
         "U4 CH0, CH1: flex right, A8..A9; CH2, CH3: pressures, A10..A11",
         "U4 CH4 to CH7: GND. A0..A11: as in the sensors' drawing",
         "C81, C82 1 µF at U3, U4. 100 nF: C83 to C86 at U5 to U8, C87 at R98",
     )):  # fmt: skip
-        _text(d, (14.6, at - 3.8 - 0.6 * row), line)
+        _text(d, (14.6, place - 3.8 - 0.6 * row), line)
 
     y = -15.2
     _text(d, (0.0, y + 1.6), f"ENCODER A. B: J5.3, R96, R72, C72, {pin('encoder_b')}")
@@ -645,8 +645,8 @@ def body_layout() -> schemdraw.Drawing:
         for n, center in enumerate(CENTERS_CM):
             box(center - 5, y, 10, 0.75)
             box(center - 2.75, y, 5.5, 0.45, "lightgray")
-            at = (x0 + CM * center, y0 + CM * y + 0.62)
-            d.add(elm.Label().theta(0).at(at).label(f"{name} {n}", loc="center", fontsize=8))
+            place = (x0 + CM * center, y0 + CM * y + 0.62)
+            d.add(elm.Label().theta(0).at(place).label(f"{name} {n}", loc="center", fontsize=8))
     low = y0 - 0.9
     _dimension(d, (x0 - CM * 8, low), (x0, low), "8, clamp")
     _dimension(d, (x0, low), (x0 + CM * 53, low), "53 evert")

@@ -203,9 +203,9 @@ class Soak:
 
     def run(self, seconds: float) -> None:
         """Keep on for so long."""
-        until = self.client.now() + seconds
+        end_s = self.client.now() + seconds
         try:
-            while self.client.now() < until:
+            while self.client.now() < end_s:
                 self.step()
         except KeyboardInterrupt:
             print("stopped; the figures are of the time so far", file=sys.stderr)

@@ -53,14 +53,14 @@ class Console(SphinxDirective):
         lines = "\n".join(self.content).replace("\\\n", "\\\0").splitlines()
         commands = [line.replace("\0", "\n") for line in lines if line.strip()]
         # What a page's commands print depends on all commands before them.
-        before: list[str] = self.env.temp_data.setdefault("console", [])
-        first = not before
-        before += [*commands, str(self.options.get("exit", 0))]
+        page_commands: list[str] = self.env.temp_data.setdefault("console", [])
+        first = not page_commands
+        page_commands += [*commands, str(self.options.get("exit", 0))]
         if EXECUTES:
             kept = self._execute(commands, page, first)
-            write_output(page, before, kept)
+            write_output(page, page_commands, kept)
         else:
-            known = read_output(page, before)
+            known = read_output(page, page_commands)
             if known is None:
                 raise self.error("this command has not been run; `make docs-cells` runs it")
             kept = known

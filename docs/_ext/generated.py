@@ -1,8 +1,9 @@
 """Pages made from the code's own texts: every command, every fault, refusal and
-error, and every entry of robot.toml; and the parts lists with their totals.
+error, every entry of robot.toml, and the layers of the host's code; and the parts
+lists with their totals.
 
 Written to docs/_made before the pages are read, and included by commands.md,
-troubleshooting.md, robot-toml.md and hardware/parts.md.
+troubleshooting.md, robot-toml.md, contributing.md and hardware/parts.md.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import inspect
 import json
 import re
 import runpy
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
@@ -281,6 +283,26 @@ def _robot_toml_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+def _layers_page() -> str:
+    """The folders and files of host/thigmo, highest layer first, with what each says it is."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    order = next(c for c in contracts["contracts"] if c.get("containers") == ["thigmo"])
+    lines = ["| layer | part | what |", "| --- | --- | --- |"]
+    for number, layer in enumerate(order["layers"][::-1], start=1):
+        rows = [
+            f"| {number} | `{name}` | {_cell(_first_line(name))} |" for name in layer.split(" | ")
+        ]
+        lines[2:2] = rows
+    return "\n".join(lines) + "\n"
+
+
+def _first_line(name: str) -> str:
+    """What a package or module of host/thigmo says it is."""
+    package = ROOT / "host" / "thigmo" / name
+    source = package / "__init__.py" if package.is_dir() else package.with_suffix(".py")
+    return (ast.get_docstring(ast.parse(source.read_text())) or "").split("\n")[0]
+
+
 def write(folder: Path) -> None:
     """Write every made page; one that has not changed is left alone."""
     folder.mkdir(exist_ok=True)
@@ -291,6 +313,7 @@ def write(folder: Path) -> None:
         "errors.md": _errors_page(),
         "kinds.md": _kinds_page(),
         "robot_toml.md": _robot_toml_page(),
+        "layers.md": _layers_page(),
         "parts.md": runpy.run_path(str(ROOT / "tools" / "parts.py"))["page"](),
     }.items():
         path = folder / name

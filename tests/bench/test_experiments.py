@@ -143,10 +143,10 @@ def test_the_frozen_constants_still_agree_with_section_3_2_better_than_a_perfect
 def test_the_thesis_cannot_tell_close_contacts_apart_and_we_can() -> None:
     robot = specimen(frozen(), 4)
     trials = [t for t in robot.trials("two-contacts", 6) if t.place == "18.5 cm apart"]
-    theirs = np.mean([camera_errors(t, thesis_method(t)).mean() for t in trials])
-    mine = np.mean([camera_errors(t, ours(t)).mean() for t in trials])
-    assert theirs > 8.0
-    assert mine < 5.0
+    thesis_cm = np.mean([camera_errors(t, thesis_method(t)).mean() for t in trials])
+    ours_cm = np.mean([camera_errors(t, ours(t)).mean() for t in trials])
+    assert thesis_cm > 8.0
+    assert ours_cm < 5.0
 
 
 def test_five_sensors_are_the_limit_of_the_solver_with_the_1_norm_not_of_the_norm() -> None:

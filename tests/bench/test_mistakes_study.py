@@ -36,9 +36,9 @@ RIGHT = Seen(
 )
 
 
-def pair(name: str, body, other: str = "one contact"):
+def pair(name: str, body, second: str = "one contact"):
     """The same bodies with a mistake and with another, or with none."""
-    return (draw(np.random.default_rng(3), KINDS[kind], body, 40) for kind in (name, other))
+    return (draw(np.random.default_rng(3), KINDS[kind], body, 40) for kind in (name, second))
 
 
 def test_a_free_curvature_is_spoilt_as_its_kind_says() -> None:
@@ -105,7 +105,7 @@ def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
         ]  # fmt: skip
 
     assert all(claim.holds for claim in _claims(rows()))
-    for name, seen, words in (
+    for name, row, words in (
         ("offset", RIGHT._replace(wrong=True), "offset, bent, 20 sensors: wrong of localized"),
         ("offset", RIGHT._replace(wrong=True), "offset, bent, 5 sensors: wrong of all"),
         ("empty", RIGHT, "empty: localized, most"),
@@ -115,7 +115,7 @@ def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
         ("two_contacts", RIGHT._replace(accused=True), "250 frames"),
         ("two_contacts", RIGHT._replace(remarked=True), "250 frames"),
     ):
-        broken = [claim.text for claim in _claims(rows(**{name: seen})) if not claim.holds]
+        broken = [claim.text for claim in _claims(rows(**{name: row})) if not claim.holds]
         assert any(text.startswith(words) for text in broken), (name, broken)
 
 

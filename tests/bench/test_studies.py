@@ -124,13 +124,15 @@ def test_a_robot_beside_its_calibration_is_explored_and_judged() -> None:
 
 def test_a_chosen_setting_is_tried_in_every_room_of_the_chosen_kinds() -> None:
     chosen = Explorations(("empty", "as calibrated"), ("quick", "100 s"), "thesis")
-    every = [room for some in rooms(Context(3, most=2, explorations=chosen)) for room in some]
-    whole = {room[:2] for some in rooms(Context(3, most=2)) for room in some}
-    assert len(every) == 2 * 2 * 2
-    assert {(room.kind, room.setting, room.method) for room in every} == {
+    chosen_rooms = [
+        room for batch in rooms(Context(3, most=2, explorations=chosen)) for room in batch
+    ]
+    whole = {room[:2] for batch in rooms(Context(3, most=2)) for room in batch}
+    assert len(chosen_rooms) == 2 * 2 * 2
+    assert {(room.kind, room.setting, room.method) for room in chosen_rooms} == {
         (kind, setting, "thesis") for kind in chosen.kinds for setting in chosen.settings
     }
-    assert {room[:2] for room in every} <= whole  # the seeds of the study of all kinds
+    assert {room[:2] for room in chosen_rooms} <= whole  # the seeds of the study of all kinds
 
 
 @pytest.mark.parametrize(

@@ -46,11 +46,11 @@ def test_page_lists_the_runs_of_an_address_and_shows_the_one_that_is_chosen(
             ["first, process 1", "second, process 2"]
         )
         shown = _name(page)
-        other = "first" if shown == "second" else "second"
-        page.locator("#choice").select_option("1" if other == "first" else "2")
-        expect(page.locator("#run-name")).to_have_text(other)
+        hidden = "first" if shown == "second" else "second"
+        page.locator("#choice").select_option("1" if hidden == "first" else "2")
+        expect(page.locator("#run-name")).to_have_text(hidden)
         page.keyboard.press("Escape")
-        run = first if other == "first" else second
+        run = first if hidden == "first" else second
         assert run.heard.wait(60)
         assert (first.asked, second.asked).count([]) == 1
         run.close()

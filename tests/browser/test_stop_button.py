@@ -124,11 +124,11 @@ def test_each_page_stops_its_own_robot_and_names_it(
 ) -> None:
     """The page of a robot that nobody drives, while a run drives another one."""
     lockstep = Lockstep(Scene.load("empty"), VirtualBoard(4, brought_up()), seed=4)
-    with ServedRobot(lockstep, reset_on_open=False) as other:
+    with ServedRobot(lockstep, reset_on_open=False) as served:
         idle = looking.open(serve_page(url=robot.port).address)
-        busy = looking.open(serve_page(url=other.port).address)
-        with Client(open_transport(other.port)) as client:
-            expect(busy.locator("#stop-robot")).to_have_text(other.port)
+        busy = looking.open(serve_page(url=served.port).address)
+        with Client(open_transport(served.port)) as client:
+            expect(busy.locator("#stop-robot")).to_have_text(served.port)
             expect(busy.locator("#stop")).to_have_attribute("data-state", "ready")
             expect(idle.locator("#stop-robot")).to_have_text(robot.port)
             idle.keyboard.press("Escape")
@@ -141,9 +141,9 @@ def test_each_page_stops_its_own_robot_and_names_it(
             expect(busy.locator("#last-stop")).to_have_text("")
             busy.keyboard.press("Escape")
             expect(busy.locator("#stop")).to_have_attribute("data-state", "stopped")
-            expect(busy.locator("#stop-robot")).to_have_text(other.port)
+            expect(busy.locator("#stop-robot")).to_have_text(served.port)
             expect(busy.locator("#last-stop")).to_contain_text(
-                f"{other.port} confirmed by its board, through process {os.getpid()}"
+                f"{served.port} confirmed by its board, through process {os.getpid()}"
             )
             assert _faults(client) == (wire.Fault.STOPPED,)
     with Client(open_transport(robot.port)) as client:

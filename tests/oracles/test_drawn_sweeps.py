@@ -64,7 +64,7 @@ def test_an_empty_rooms_sensors_read_the_maps_bend_within_their_errors(
 
 def test_a_seed_gives_the_same_rooms(config: RobotConfig, calibrated: list[DrawnRoom]) -> None:
     again = rooms(KINDS["as calibrated"], config, LENGTHS, COUNT, 5)
-    for first, other in zip(calibrated, again, strict=True):
-        assert first.peg == other.peg
-        for (sweep, _), (same, _) in zip(first.sweeps, other.sweeps, strict=True):
+    for first, second in zip(calibrated, again, strict=True):
+        assert first.peg == second.peg
+        for (sweep, _), (same, _) in zip(first.sweeps, second.sweeps, strict=True):
             assert np.array_equal(sweep.curvature, same.curvature, equal_nan=True)

@@ -175,8 +175,8 @@ def kinks():
     edges = np.unique(np.r_[low, high])
     middles = 0.5 * (edges[1:] + edges[:-1])
     inside = (low < middles[:, None]) & (middles[:, None] < high)
-    seen = inside.any(axis=1)
-    return (priors.ANGLE * inside / (high - low))[seen], np.diff(edges)[seen]
+    covered = inside.any(axis=1)
+    return (priors.ANGLE * inside / (high - low))[covered], np.diff(edges)[covered]
 
 
 def test_kinks_are_weighed_as_dense_normal_densities():
@@ -298,9 +298,9 @@ def test_mistakes_that_are_left_out_hardly_change_the_evidence(seed, monkeypatch
     options = {"length": LENGTH, "span": SPAN, "noise": NOISE, "free_curvature": free}
     usual = thigmo.localize(curvature, POSITION, **options)
     monkeypatch.setattr(priors, "DROPPED_ROW", -1e3)
-    every = thigmo.localize(curvature, POSITION, **options)
-    assert usual.log_evidence == pytest.approx(every.log_evidence, abs=0.1)
-    assert usual.status == every.status
+    undropped = thigmo.localize(curvature, POSITION, **options)
+    assert usual.log_evidence == pytest.approx(undropped.log_evidence, abs=0.1)
+    assert usual.status == undropped.status
 
 
 def test_an_edited_prior_changes_the_answers_of_the_next_localizer(monkeypatch):

@@ -31,28 +31,28 @@ def inflations() -> list[Rooms]:
 
 @pytest.mark.ci
 def test_pegs_touch_the_end_as_often_as_the_prior_says(inflations: list[Rooms]) -> None:
-    ends = np.mean([there.u[-1] > there.length for there in inflations])
+    ends = np.mean([drawn.u[-1] > drawn.length for drawn in inflations])
     assert 0.5 * np.exp(priors.END) < ends < 2.0 * np.exp(priors.END)
 
 
 @pytest.mark.ci
 def test_intervals_hold_and_contacts_are_found(inflations: list[Rooms]) -> None:
     felt, covered, sure, wrong, errors = 0, 0, 0, 0, []
-    for there in inflations:
-        position = np.arange(5.0, there.length - 2.75, 10.0)
+    for drawn in inflations:
+        position = np.arange(5.0, drawn.length - 2.75, 10.0)
         for span in (0.0, 5.5):
-            clean = there.bodies(-1).readings(position, span)
-            rng = np.random.default_rng([int(there.length), int(span)])
+            clean = drawn.bodies(-1).readings(position, span)
+            rng = np.random.default_rng([int(drawn.length), int(span)])
             noisy = clean + SIGMA * rng.standard_normal((FRAMES, *clean.shape))[-1]
             for room in range(int(span > 0.0), ROOMS, 2):
                 side = (-1.0, 1.0)[room // 2 % 2]
                 result = thigmo.localize(
-                    side * noisy[room], position, free_curvature=side * there.free[-1, room],
-                    length=there.length, span=span, noise=SIGMA, tube_radius=RADIUS, **STATED,
+                    side * noisy[room], position, free_curvature=side * drawn.free[-1, room],
+                    length=drawn.length, span=span, noise=SIGMA, tube_radius=RADIUS, **STATED,
                 )  # fmt: skip
                 if not result.contacts:
                     continue
-                (contact,), arc = result.contacts, there.arc[-1, room]
+                (contact,), arc = result.contacts, drawn.arc[-1, room]
                 low, high = contact.interval
                 inside = low - 1e-6 <= arc <= high + 1e-6
                 felt += 1

@@ -246,10 +246,10 @@ def test_contact_slides_from_the_side_over_the_corner_onto_the_face(side: float)
     for x, y in path:
         (contact,) = solve(0.0, length, pegs=[Peg(float(x), side * float(y), radius)]).contacts
         kinds.append(contact.kind)
-        here = np.array([contact.x, contact.y])
+        point = np.array([contact.x, contact.y])
         if before is not None:
-            assert np.hypot(*(here - before)) < 0.3
-        before = here
+            assert np.hypot(*(point - before)) < 0.3
+        before = point
     assert list(dict.fromkeys(kinds)) == ["side", "corner", "face"]
 
 

@@ -98,9 +98,9 @@ def test_a_kink_is_seen_by_the_sensor_over_it_only() -> None:
     arcs, nothing = np.array([[16.0, 40.0]]), np.array([[0.0, 1e-4]])
     kinked = solve(arcs, nothing, length=LENGTH, kink=np.array([0.5, 0.0]))
     plain = solve(arcs, nothing, length=LENGTH)
-    seen = kinked.readings(COLUMN, 5.5) - plain.readings(COLUMN, 5.5)
-    assert seen[0, 1] == pytest.approx(0.5 / 5.5, rel=1e-2)
-    assert np.abs(seen[0, 2:]).max() < 1e-8  # the kink turns what is distal of it as a whole
+    kink = kinked.readings(COLUMN, 5.5) - plain.readings(COLUMN, 5.5)
+    assert kink[0, 1] == pytest.approx(0.5 / 5.5, rel=1e-2)
+    assert np.abs(kink[0, 2:]).max() < 1e-8  # the kink turns what is distal of it as a whole
     points = kinked.readings(COLUMN)[0] - kinked.readings(COLUMN, 1e-2)[0]
     assert np.abs(points).max() < 1e-6
 

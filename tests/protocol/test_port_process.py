@@ -319,16 +319,16 @@ sys.stdin.read()
 
 def test_thigmo_stop_names_the_program_that_has_the_port(board: PtyDevice) -> None:
     words = [sys.executable, "-c", OTHER, board.port]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
-        assert other.stdout is not None
-        other.stdout.readline()
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as driver:
+        assert driver.stdout is not None
+        driver.stdout.readline()
         result = CliRunner().invoke(app, ["stop", "--robot", board.port])
         assert result.exit_code == 1
         said = result.output
         assert said.startswith(f"thigmo: NOT stopped: {board.port} is in use by process ")
-        assert f"process {other.pid} (" in said
+        assert f"process {driver.pid} (" in said
         assert "; use the emergency stop, or close the program" in said
-        other.communicate()
+        driver.communicate()
     assert not board.device.stops
 
 
@@ -513,14 +513,14 @@ def test_over_a_socket_from_hello_to_a_quiet_end(
 
 def test_two_programs_never_drive_one_serial_server(bridge: str, sockets: Path) -> None:
     with Client(open_transport(bridge)) as client:
-        other = bridge.replace("127.0.0.1", "localhost")
+        alias = bridge.replace("127.0.0.1", "localhost")
         with pytest.raises(PortError, match=rf"is in use by process {os.getpid()} \(.*; close the"):
-            open_transport(other)
-        (stopped,) = stop_robot(other)
+            open_transport(alias)
+        (stopped,) = stop_robot(alias)
         assert stopped.confirmed_by == f"its board, through process {os.getpid()}"
         assert client.wait_for(lambda: client.stats.telemetry >= 50, EVER_S)
     assert [path for path in sockets.iterdir() if path.is_socket()] == []
-    (stopped,) = stop_robot(other)
+    (stopped,) = stop_robot(alias)
     assert stopped.confirmed_by == "its board, over its port, which no program had open"
 
 

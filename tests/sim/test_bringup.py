@@ -192,9 +192,9 @@ def test_a_jog_ends_with_its_host() -> None:
 
 def test_a_press_shows_the_pressure_and_vents() -> None:
     robot = ready()
-    seen: list[float] = []
-    assert press(robot, "right", 3.0, 4.0, seen.append) == pytest.approx(3.0, abs=0.7)
-    assert len(seen) > 10
+    pressures: list[float] = []
+    assert press(robot, "right", 3.0, 4.0, pressures.append) == pytest.approx(3.0, abs=0.7)
+    assert len(pressures) > 10
     robot.wait(3.0)
     assert robot.status().pressure_psi[1] < 0.5
     with pytest.raises(ConfigError, match="at most 5 psi"):

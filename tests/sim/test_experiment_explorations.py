@@ -86,10 +86,10 @@ def test_explorations_are_kept_resumed_and_evaluated_from_their_folders(
     document.write_text(json.dumps(known | {"truth": None, "error_x_cm": None, "error_cm": None}))
     blind, _ = evaluate(folder).tables["trials"]
     assert float(blind["error_x_cm"]) == pytest.approx(float(ours["error_x_cm"]), abs=0.5)
-    other = scene.robot.model_copy(deep=True)
-    other.body.critical_curvature = 0.02
+    changed = scene.robot.model_copy(deep=True)
+    changed.body.critical_curvature = 0.02
     with pytest.raises(DataError, match="another robot"):
-        Folder(folder.path, other)
+        Folder(folder.path, changed)
 
 
 @pytest.fixture

@@ -147,10 +147,10 @@ def test_a_stopped_experiment_goes_on_and_skipped_trials_are_no_trials(
 
 
 def test_another_robot_may_not_add_to_a_folder(single_contact: Folder) -> None:
-    other = single_contact.config.model_copy(deep=True)
-    other.body.critical_curvature = 0.02
+    changed = single_contact.config.model_copy(deep=True)
+    changed.body.critical_curvature = 0.02
     with pytest.raises(DataError, match="another robot"):
-        Folder(single_contact.path, other)
+        Folder(single_contact.path, changed)
 
 
 def test_a_line_that_lacks_a_reading_is_named(single_contact: Folder, tmp_path: Path) -> None:
@@ -173,15 +173,15 @@ class Terminal:
             preexec_fn=_take_terminal, env={**os.environ, "COLUMNS": "400", "TERM": "dumb"},
         )  # fmt: skip
         os.close(slave)
-        self.seen = ""
-        self._seen = 0
+        self.text = ""
+        self._read_to = 0
 
     def wait_for(self, text: str) -> None:
         """Read until the text comes, after what was waited for before."""
-        while (at := self.seen.find(text, self._seen)) < 0:
+        while (at := self.text.find(text, self._read_to)) < 0:
             if not self._read():
-                raise AssertionError(f"ended before {text!r}:\n{self.seen[-3000:]}")
-        self._seen = at + len(text)
+                raise AssertionError(f"ended before {text!r}:\n{self.text[-3000:]}")
+        self._read_to = at + len(text)
 
     def answer(self, text: str, prompt: str) -> None:
         self.wait_for(prompt)
@@ -199,12 +199,12 @@ class Terminal:
 
     def _read(self) -> bool:
         if not select.select([self._master], [], [], _PATIENCE_S)[0]:
-            raise AssertionError(f"silent after:\n{self.seen[-3000:]}")
+            raise AssertionError(f"silent after:\n{self.text[-3000:]}")
         try:
             data = os.read(self._master, 65536)
         except OSError:  # the other end is closed
             return False
-        self.seen += data.decode(errors="replace")
+        self.text += data.decode(errors="replace")
         return bool(data)
 
 
@@ -261,6 +261,6 @@ def test_ctrl_c_keeps_what_was_measured(scene: str, tmp_path: Path) -> None:
     terminal.answer("", "= keep")
     terminal.interrupt("lay the robot straight")
     assert terminal.end() == 130
-    assert "1 trials are in" in terminal.seen
-    assert "the emulated robot has ended" in terminal.seen
+    assert "1 trials are in" in terminal.text
+    assert "the emulated robot has ended" in terminal.text
     assert len(taken(tmp_path / "actuated")) == 1

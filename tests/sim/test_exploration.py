@@ -187,15 +187,15 @@ def test_a_replay_of_the_raw_frames_finds_the_same(
     assert replayed.bad_frames == 0
     assert replayed.document.contacts == default.document.contacts
     assert replayed.document.error_x_cm == default.document.error_x_cm
-    for mine, theirs in zip(replayed.document.stages, default.document.stages, strict=True):
-        assert mine.triggers == theirs.triggers
-        assert mine.shapes == theirs.shapes
+    for stage, default_stage in zip(replayed.document.stages, default.document.stages, strict=True):
+        assert stage.triggers == default_stage.triggers
+        assert stage.shapes == default_stage.shapes
     assert (default.folder / "replay.png").exists()
     for name in ("map.pgm", "map.yaml"):
         live = (default.folder / name).read_bytes()
         assert (default.folder / f"replay-{name}").read_bytes().replace(b"replay-", b"") == live
-    mine = read_obstacles(default.folder / f"replay-{OBSTACLES_FILE}")
-    assert mine.obstacles == read_obstacles(default.folder / OBSTACLES_FILE).obstacles
+    obstacles = read_obstacles(default.folder / f"replay-{OBSTACLES_FILE}")
+    assert obstacles.obstacles == read_obstacles(default.folder / OBSTACLES_FILE).obstacles
     assert replayed.document.missed == replayed.document.false == []
 
 

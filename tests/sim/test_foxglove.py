@@ -107,11 +107,11 @@ def test_foxglove_sees_a_run_and_late_comers_its_map(late_url: str, tmp_path: Pa
                 asyncio.to_thread(thigmo.explore, late_url, seed=1, out=tmp_path)
             )
             topics = {"/telemetry", "/foxglove/scene", "/contacts"}
-            seen: dict[str, bytes] = {}
-            while set(seen) != topics:
+            received: dict[str, bytes] = {}
+            while set(received) != topics:
                 topic, _, data = await client.message()
-                seen[topic] = data
-            telemetry = from_protobuf("telemetry", seen["/telemetry"])
+                received[topic] = data
+            telemetry = from_protobuf("telemetry", received["/telemetry"])
             assert isinstance(telemetry, Telemetry)
             assert len(telemetry.curvature_per_cm) == 10
             run = await exploring

@@ -70,12 +70,12 @@ def test_motion_against_the_command_is_noticed_within_50_ms(
     transport.lockstep.faults.inject(FaultTable(kind="motor_shorted", at_s=begins, value=duty))
     decoder, against_s, noticed_s = Decoder(), None, None
     while noticed_s is None and transport.now() < begins + 0.4:
-        seen = [frame.message() for frame in decoder.feed(transport.read(0.01))]
+        messages = [frame.message() for frame in decoder.feed(transport.read(0.01))]
         now = transport.now()
         astray_cm = plant.line_cm - line_cm - speed_cm_s * (now - begins)
         if against_s is None and abs(astray_cm) > 0.02:
             against_s = now
-        if any(isinstance(m, wire.Telemetry) and m.faults for m in seen):
+        if any(isinstance(m, wire.Telemetry) and m.faults for m in messages):
             noticed_s = now
     assert against_s is not None
     assert noticed_s is not None

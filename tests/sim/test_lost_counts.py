@@ -8,20 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
 from emulated import armed, scene_at
 
 from thigmo.calibrate.drive import Drive, pull_duty
-from thigmo.config import RobotConfig
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import RobotFaultError
 from thigmo.robot import Robot
+from thigmo_bench.studies.gallery import gallery_robot
 
-ROBOTS = Path(__file__).parents[2] / "docs/robots"
 MOST_CM, TENTH = 2.0, 1.1  # a figure within a tenth of its promise is met
 SHARES = (0.9, 0.7, 0.5, 0.3)
 
@@ -133,7 +131,7 @@ THICK = {
 
 
 def thick_robot(name: str, scene: Scene, seed: int = 1) -> tuple[Robot, EmulatorTransport]:
-    scene.robot = RobotConfig.load(ROBOTS / f"{name}.toml")
+    scene.robot = gallery_robot(name)
     return learned_robot(scene, THICK[name], seed)
 
 

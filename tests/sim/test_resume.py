@@ -92,8 +92,10 @@ def test_it_goes_on_from_what_was_swept_and_felt(
     assert lengths == pytest.approx([s.everted_length_cm for s in whole.document.stages], abs=0.3)
     again = [note.facts for note in RunFolder(resumed.folder).read_log().notes]
     assert sum(note.get("state") == "SWEEP" for note in again) == len(lengths) - len(before.stages)
-    for mine, theirs in zip(now.contacts, whole.document.contacts, strict=True):
-        assert (mine.x_cm, mine.y_cm) == pytest.approx((theirs.x_cm, theirs.y_cm), abs=1.0)
+    for contact, whole_contact in zip(now.contacts, whole.document.contacts, strict=True):
+        assert (contact.x_cm, contact.y_cm) == pytest.approx(
+            (whole_contact.x_cm, whole_contact.y_cm), abs=1.0
+        )
 
 
 def test_its_replay_knows_what_both_runs_knew(resumed: ExplorationResult) -> None:

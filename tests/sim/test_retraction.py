@@ -5,19 +5,16 @@ The emulated encoder shows a share of its counts from the moment at which the re
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 from emulated import armed, at_each_step, emulated, scene_at
 
-from thigmo.config import RobotConfig
 from thigmo.emulator.scene import FaultTable, Scene
 from thigmo.emulator.transport import EmulatorTransport
 from thigmo.errors import RobotFaultError
 from thigmo.link import protocol as wire
 from thigmo.robot import Retraction, Robot
+from thigmo_bench.studies.gallery import gallery_robot
 
-ROBOTS = Path(__file__).parents[2] / "docs/robots"
 GALLERY = ("thick-7", "thick-10", "mixed", "one-column")
 INWARDS_CM = 3.0  # or half a pitch, where that is more
 
@@ -26,7 +23,7 @@ def scene_of(name: str, length_cm: float) -> Scene:
     """A free room with a robot of the gallery, or with the thesis's."""
     scene = scene_at(0.0)
     if name != "thesis":
-        scene.robot = RobotConfig.load(ROBOTS / f"{name}.toml")
+        scene.robot = gallery_robot(name)
     scene.start_length_cm = length_cm
     return scene
 

@@ -142,10 +142,14 @@ def assert_same(said: bytes, reference: bytes) -> None:
     """Two boards said the same, but for what their own clocks measure."""
     board, virtual = messages(said), messages(reference)
     # By device time: a frame may be dropped for want of room on the line, or cut off at the end.
-    there, here = ({p[:4]: p for p in trace["Telemetry"]} for trace in (board, virtual))
-    assert len(here) > 1000
-    assert len(here.keys() ^ there.keys()) <= 3
-    assert all(here[time] == there[time] for time in here.keys() & there.keys())
+    board_rows, virtual_rows = (
+        {p[:4]: p for p in trace["Telemetry"]} for trace in (board, virtual)
+    )
+    assert len(virtual_rows) > 1000
+    assert len(virtual_rows.keys() ^ board_rows.keys()) <= 3
+    assert all(
+        virtual_rows[time] == board_rows[time] for time in virtual_rows.keys() & board_rows.keys()
+    )
     # Not the status report: one of its bits says whether the line dropped telemetry.
     for name in ("Ack", "Event", "Snapshot", "SensorReport", "ParameterValue"):
         assert board.get(name, []) == virtual.get(name, []), name

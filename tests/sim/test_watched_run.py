@@ -46,7 +46,7 @@ STOPPED = f"stopped: {wire.Fault.STOPPED.words[0]}"  # the board's fault says it
 MODULE = import_module("thigmo.exploration.explore")
 
 
-class Seen:
+class Watcher:
     """All that a run publishes, and its control; `act` is called with each message."""
 
     def __init__(self, act: Callable[[Message, RunControl], None] | None = None) -> None:
@@ -103,8 +103,8 @@ class Watched:
 
     def __init__(self, url: str, folder: Path) -> None:
         self.alone = explore(url, seed=1, out=folder, name="alone")
-        self.viewers, self.seen = Viewers(), Seen()
-        self.watched = self.seen.explore(
+        self.viewers, self.watcher = Viewers(), Watcher()
+        self.watched = self.watcher.explore(
             url, folder, name="watched", progress=self.viewers.progress
         )
         self.viewers.leave()
@@ -138,32 +138,32 @@ def test_a_viewer_reads_to_the_end(run: Watched) -> None:
 
 
 def test_what_a_run_publishes_tells_it_from_its_states_to_its_map(run: Watched) -> None:
-    seen, document = run.seen, run.watched.document
-    states = seen.of(RunState)
+    published, document = run.watcher, run.watched.document
+    states = published.of(RunState)
     assert {"CONFIGURE", "PLAN", "GROW", "SWEEP", "LOCALIZE", "MAP"} <= {s.state for s in states}
     assert [s.done for s in states] == sorted(s.done for s in states)
     assert (states[-1].state, states[-1].outcome) == ("DONE", "full length")
-    assert seen.of(Contacts)[-1].contacts == tuple(document.contacts)
-    grid = seen.of(Grid)[-1]
+    assert published.of(Contacts)[-1].contacts == tuple(document.contacts)
+    grid = published.of(Grid)[-1]
     on_disk = read_ros_map(run.watched.folder / "map.yaml")
     assert (np.reshape(grid.cells, (grid.height, grid.width)) == on_disk.cells).all()
-    felt = [posterior for posterior in seen.of(Posterior) if posterior.places_cm]
+    felt = [posterior for posterior in published.of(Posterior) if posterior.places_cm]
     assert felt
     for posterior in felt:
         assert sum(posterior.probability) == pytest.approx(1.0)
-    assert "contact" in [event.name for event in seen.of(Event)]
+    assert "contact" in [event.name for event in published.of(Event)]
 
 
 def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_base_is_near_its_fold(
     run: Watched,
 ) -> None:
-    seen = run.seen
-    measured = [posterior for posterior in seen.of(Posterior) if not posterior.sweeping]
-    so_far = [posterior for posterior in seen.of(Posterior) if posterior.sweeping]
+    published = run.watcher
+    measured = [posterior for posterior in published.of(Posterior) if not posterior.sweeping]
+    so_far = [posterior for posterior in published.of(Posterior) if posterior.sweeping]
     assert len(so_far) > 1
     steps = np.diff([posterior.t_s for posterior in so_far])
     assert np.median(steps) == pytest.approx(0.1, abs=0.05)
-    states = seen.of(RunState)
+    states = published.of(RunState)
     for posterior in so_far:
         now = [state for state in states if state.t_s <= posterior.t_s][-1]
         assert now.state in ("SWEEP", "MEASURE")
@@ -188,7 +188,7 @@ def test_the_record_gives_back_what_was_published(run: Watched) -> None:
     for channel in {message.CHANNEL for message in kept}:
         recorded = [to_json(message) for message in kept if channel == message.CHANNEL]
         published = [
-            to_json(message) for message in run.seen.messages if channel == message.CHANNEL
+            to_json(message) for message in run.watcher.messages if channel == message.CHANNEL
         ]
         first = published.index(recorded[0])  # the robot speaks before the run and after it
         assert recorded == published[first : first + len(recorded)]
@@ -217,12 +217,12 @@ def test_every_typed_value_equals_the_raw_frames(run: Watched) -> None:
 
 
 def test_epoch_and_robot_time_go_together(run: Watched) -> None:
-    apart = [message.epoch_s - message.t_s for message in run.seen.messages]
+    apart = [message.epoch_s - message.t_s for message in run.watcher.messages]
     assert max(apart) - min(apart) < 1e-5
 
 
 def test_the_body_is_seen_to_bend_both_ways_as_long_as_it_is(run: Watched) -> None:
-    shapes = [s for s in run.seen.of(BodyShape) if len(s.poses) > 2]  # its length is known
+    shapes = [s for s in run.watcher.of(BodyShape) if len(s.poses) > 2]  # its length is known
     sideways = [shape.poses[-1][1] for shape in shapes]
     assert min(sideways) < -10.0
     assert max(sideways) > 10.0
@@ -245,12 +245,12 @@ def test_a_viewer_pauses_the_run_between_stages_and_lets_it_go_on(
             control.command("resume")
 
     paused: list[RunState] = []
-    seen = Seen(act)
-    result = seen.explore(late_url, tmp_path)
+    watcher = Watcher(act)
+    result = watcher.explore(late_url, tmp_path)
     assert result.document.outcome == "full length"
     (state,) = paused
     assert (state.state, state.doing.split(": ")[-1]) == ("PLAN", "paused")
-    during = [m for m in seen.of(Telemetry) if state.t_s < m.t_s < state.t_s + 2.0]
+    during = [m for m in watcher.of(Telemetry) if state.t_s < m.t_s < state.t_s + 2.0]
     assert len(during) > 300
     assert max(max(m.pressure_psi) for m in during) < 0.5
     assert not any(m.faults for m in during)
@@ -268,15 +268,15 @@ def test_a_viewer_stops_the_run_in_mid_sweep_and_the_map_so_far_is_kept(
             control.command("stop")
 
     clicked: list[float] = []
-    seen = Seen(act)
+    watcher = Watcher(act)
     with pytest.raises(StoppedByViewerError, match=f"^{STOPPED}"):
-        seen.explore(late_url, tmp_path)
-    telemetry = seen.of(Telemetry)
+        watcher.explore(late_url, tmp_path)
+    telemetry = watcher.of(Telemetry)
     safe = next(m.t_s for m in telemetry if m.t_s > clicked[0] and m.drive_ma == (0.0, 0.0))
     assert safe - clicked[0] < 0.3
     assert telemetry[-1].faults == ("stopped",)
-    assert seen.of(RunState)[-1].outcome.startswith(f"aborted: {STOPPED}")
-    assert [(e.name, e.severity) for e in seen.of(Event)].count(("aborted", "fault")) == 1
+    assert watcher.of(RunState)[-1].outcome.startswith(f"aborted: {STOPPED}")
+    assert [(e.name, e.severity) for e in watcher.of(Event)].count(("aborted", "fault")) == 1
     (path,) = tmp_path.iterdir()
     folder = RunFolder(path)
     assert folder.read_document().outcome.startswith(f"aborted: {STOPPED}")
@@ -303,9 +303,9 @@ def test_a_program_reads_the_stream_while_it_commands() -> None:
     with connect("emulator://empty", Scene.load("empty").believed(1), seed=1) as robot:
         called: list[Telemetry] = []
         end = robot.on_telemetry(called.append)
-        seen = list(robot.stream(1.0, {"telemetry"}))
-        assert len(seen) == pytest.approx(200, abs=6)
-        assert called[: len(seen)] == seen
+        streamed = list(robot.stream(1.0, {"telemetry"}))
+        assert len(streamed) == pytest.approx(200, abs=6)
+        assert called[: len(streamed)] == streamed
         end()
         count = len(called)
         for message in robot.stream(0.5, {"telemetry", "shape"}):

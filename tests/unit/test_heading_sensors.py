@@ -47,8 +47,8 @@ def test_what_neighbours_share_is_what_from_headings_says() -> None:
 
 
 def test_a_string_serves_both_muscles_and_its_base_counts_while_either_bends() -> None:
-    every = (1 << len(TABLE.healthy)) - 1
-    assert TABLE.usable("left", every).sum() == TABLE.usable("right", every).sum() == 12
+    all_sensors = (1 << len(TABLE.healthy)) - 1
+    assert TABLE.usable("left", all_sensors).sum() == TABLE.usable("right", all_sensors).sum() == 12
     answer = parameter_settings(Wiring.laid_out(CONFIG))
     assert [mask for mask in answer["trigger_when"] if mask] == [0b10000011]
     # The fold must not lie on an IMU; between two of them it may.

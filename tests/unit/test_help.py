@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import typer
 
+from thigmo.calibrate.steps import STEPS
 from thigmo.cli.main import app, main
 
 
@@ -54,3 +55,8 @@ def test_every_option_says_what_it_is() -> None:
     for path, command in COMMANDS.items():
         for name, said in options(command).items():
             assert said, (path, name)
+
+
+def test_the_help_of_calibrate_has_a_line_for_every_step() -> None:
+    shown = COMMANDS["calibrate",].help
+    assert [step for step in STEPS if f"\n\n{step}: " not in shown] == []

@@ -16,8 +16,8 @@ from thigmo.errors import ConfigError, DataError
 from thigmo.localization import localize
 from thigmo.mechanics import Tube, push, rest_mean, rest_turn
 from thigmo.robot.publishing import bent
+from thigmo_bench.studies.gallery import gallery_robot
 
-FILE = Path(__file__).resolve().parents[2] / "docs" / "robots" / "preformed.toml"
 HOOK = ((10.0, 0.0), (35.0, 0.06))  # turns by 86 degrees
 POSITION = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 
@@ -47,7 +47,7 @@ def test_bends_that_no_body_has_are_refused(
 
 
 def test_the_file_keeps_its_bends_and_a_straight_body_has_no_entry(tmp_path: Path) -> None:
-    robot = RobotConfig.load(FILE)
+    robot = gallery_robot("preformed")
     robot.save(tmp_path / "robot.toml")
     assert RobotConfig.load(tmp_path / "robot.toml").body.rest_pieces == robot.body.rest_pieces
     RobotConfig().save(tmp_path / "straight.toml")
@@ -63,10 +63,11 @@ def test_the_turn_of_the_rest_shape_is_the_sum_of_its_bends() -> None:
 
 
 def test_check_says_where_the_tip_lies_and_promises_no_exploration() -> None:
-    findings = {finding.part: finding for finding in judge(RobotConfig.load(FILE))}
+    robot = gallery_robot("preformed")
+    findings = {finding.part: finding for finding in judge(robot)}
     assert "curved at rest" in findings["explore"].text
     body = push(0.0, 1.0, free_curvature=0.0, length=53.0,
-                tube=Tube(3.5, rest_curvature=RobotConfig.load(FILE).body.rest_pieces))  # fmt: skip
+                tube=Tube(3.5, rest_curvature=robot.body.rest_pieces))  # fmt: skip
     assert f"x = {body.tip[0]:.1f}, y = {body.tip[1]:.1f} cm" in findings["body"].text
     assert "localized" in findings["feel"].text
     assert not [part for part in findings if part.startswith("sweep")]
@@ -80,7 +81,7 @@ def test_check_asks_about_a_body_that_is_rolled_up(tmp_path: Path) -> None:
 
 
 def test_the_camera_calibrates_only_what_does_not_hang_on_a_straight_body(tmp_path: Path) -> None:
-    robot = RobotConfig.load(FILE)
+    robot = gallery_robot("preformed")
     assert steps_of(robot) == ["pressure", "hysteresis", "noise", "check"]
     with pytest.raises(DataError, match="no straight shape at rest"):
         fit_csv("flex", tmp_path / "any.csv", robot)

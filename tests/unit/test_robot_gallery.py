@@ -9,8 +9,9 @@ import pytest
 from thigmo.config import RobotConfig
 from thigmo.design import judge
 from thigmo.wiring import Wiring
+from thigmo_bench.studies.gallery import GALLERY
 
-FILES = sorted((Path(__file__).resolve().parents[2] / "docs" / "robots").glob("*.toml"))
+FILES = sorted(GALLERY.glob("*.toml"))
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
@@ -26,5 +27,5 @@ def test_a_robot_of_the_gallery_is_good_and_nothing_is_asked(file: Path) -> None
 
 
 def test_the_gallery_names_every_file() -> None:
-    page = (FILES[0].parent.parent / "robots.md").read_text()
+    page = (GALLERY.parent / "robots.md").read_text()
     assert [file.name for file in FILES if f"<robots/{file.name}>" not in page] == []

@@ -21,11 +21,11 @@ from thigmo.calibrate.session import Session
 from thigmo.calibrate.verdict import StepResult
 from thigmo.camera.exceptions import CameraError, CameraMovedError
 from thigmo.config import SAME_LENGTH_CM, SIDES, Muscle, RobotConfig
-from thigmo.errors import CommandRefusedError, DataError
+from thigmo.errors import DataError
 from thigmo.link import protocol as wire
 from thigmo.mechanics import push_tip
 from thigmo.operator_prompts import Operator
-from thigmo.robot import Reading, Robot
+from thigmo.robot import Reading, Robot, zero_when_steady
 from thigmo.robot.state import Recording
 from thigmo.wiring import Wiring
 
@@ -36,7 +36,7 @@ STEADY_S = 2.5  # from a new set point to a bend at rest: lag, swing and margin
 READ_S = 1.0
 _TRIES = 3
 _REPORT_EVERY = 10  # of the rows of a procedure, so that the messages between them are seen
-_QUIET_S = 5.0  # after venting, before zeros are taken
+_QUIET_S = 5.0  # after venting, and after readings that drift, before zeros are taken
 _UNSEEN: Row = {"unseen": True}
 _PUSHES = 3  # attempts at one place if the tip goes to the other side
 # Moments of the pushes of the base step, over that which folds the base.
@@ -104,16 +104,9 @@ def _stops_cm(spacing_cm: float, length_cm: float) -> set[float]:
 
 
 def zero(robot: Robot, say: Callable[[str], None]) -> None:
-    """Zero the straight, vented robot; try again while its readings drift, three times at most."""
-    for attempt in range(_TRIES):
-        robot.wait(_QUIET_S)
-        try:
-            robot.zero()
-            break
-        except CommandRefusedError as error:
-            if error.reason != "drifting" or attempt + 1 == _TRIES:
-                raise
-            say("readings still drift; waiting")
+    """Zero the straight, vented robot once it is quiet; try again while its readings drift."""
+    robot.wait(_QUIET_S)
+    zero_when_steady(robot, pause_s=_QUIET_S, say=say)
 
 
 class Hand(Operator, Protocol):

@@ -106,8 +106,8 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
         muscle_map = config.muscles[config.muscle_number(name)].maps[readings.zone]
         expected = muscle_map.inflate.curvature(readings.bend_psi)
         if not np.isfinite(bend):
-            none = "is not calibrated: no healthy sensor reads its bend, out of the plane"
-            findings.append(Finding(f"{name} muscle", "warning", none))
+            text = "is not calibrated: no healthy sensor reads its bend, out of the plane"
+            findings.append(Finding(f"{name} muscle", "warning", text))
         elif not muscle_map.calibrated:
             text = f"is not calibrated; it bends by {bend:+.4f} 1/cm"
             findings.append(Finding(f"{name} muscle", "warning", text))

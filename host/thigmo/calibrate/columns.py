@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,22 @@ from thigmo.wiring import table_key
 
 Array = NDArray[np.float64]
 Key = TypeVar("Key", bound=Any)
+Kind = TypeVar("Kind", bound=BoardSensor)
+
+
+class SensorFit(Protocol):
+    """What a step has found of one sensor."""
+
+    @property
+    def name(self) -> str:
+        """Its name, as `sensors_of` has it."""
+
+    @property
+    def healthy(self) -> bool:
+        """Whether the sensor measures bends."""
+
+
+Fit = TypeVar("Fit", bound=SensorFit)
 
 
 class Place(NamedTuple):
@@ -35,6 +51,24 @@ def sensors_of(config: RobotConfig) -> dict[str, BoardSensor]:
         f"{config.column_name(DEGREES[side])} {k}": config.column(side)[k]
         for side, k in places_of(config)
     }
+
+
+def mark_health(
+    config: RobotConfig, fits: Iterable[Fit], kind: type[Kind]
+) -> list[tuple[Fit, Kind]]:
+    """Store which sensors of a kind are healthy; these, each with its fit.
+
+    A sensor found dead keeps its old constants.
+    """
+    sensors = sensors_of(config)
+    healthy: list[tuple[Fit, Kind]] = []
+    for fit in fits:
+        sensor = sensors[fit.name]
+        if isinstance(sensor, kind):
+            sensor.healthy = fit.healthy
+            if fit.healthy:
+                healthy.append((fit, sensor))
+    return healthy
 
 
 def constants_of(config: RobotConfig, *names: str) -> Array:

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, cast
 import numpy as np
 
 from thigmo.calibrate.bench import Bench, last_bends, tip_rows
-from thigmo.calibrate.columns import sensors_of
+from thigmo.calibrate.columns import mark_health, sensors_of
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import (
     Column,
@@ -100,14 +100,7 @@ class FlexResult(StepResult):
         """
         loops = [fit.hysteresis for fit in self.sensors if fit.healthy]
         usual_loop = float(np.sqrt(np.mean(np.square(loops)))) if loops else 0.0
-        sensors = sensors_of(config)
-        for fit in self.sensors:
-            sensor = sensors[fit.name]
-            if not isinstance(sensor, FlexSensor):
-                continue
-            sensor.healthy = fit.healthy
-            if not fit.healthy:
-                continue
+        for fit, sensor in mark_health(config, self.sensors, FlexSensor):
             sensor.scale_per_ohm = fit.scale_per_ohm
             # A single reading has all three errors: the fit's, this sweep's gain and the curve's.
             sensor.scale_se = float(np.hypot(np.hypot(fit.scale_se, fit.sweep_se), fit.misfit))

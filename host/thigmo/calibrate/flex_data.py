@@ -51,20 +51,20 @@ class FlexReadings:
     @classmethod
     def read(cls, table: Table, config: RobotConfig) -> FlexReadings:
         """Read a CSV as `write` makes it. Raises DataError if values look like another unit."""
-        path, none = table.name, float("nan")
+        path, absent = table.name, float("nan")
         ohm = of_sensors(table, "ohm", config)
         length = table.numbers("length_cm", config.body.length_cm)
         if not np.isfinite(length).all() or np.ptp(length) > 1e-9:
             raise DataError(f"{path}: length_cm varies", "calibrate at one length")
         readings = cls(
             tuple(table.words("kind")),
-            np.column_stack([table.numbers("tip_x_cm", none), table.numbers("tip_y_cm", none)]),
-            table.numbers("curvature", none),
+            np.column_stack([table.numbers("tip_x_cm", absent), table.numbers("tip_y_cm", absent)]),
+            table.numbers("curvature", absent),
             table.numbers("curvature_se", 0.0),
             tuple(muscle_sides(table, config)),
             ohm,
             float(length[0]),
-            table.numbers("intended_y_cm", none),
+            table.numbers("intended_y_cm", absent),
             np.nan_to_num(table.numbers("block", 0.0)).astype(np.int64),
             tuple(table.words("name")) if "name" in table else (),
         )  # fmt: skip

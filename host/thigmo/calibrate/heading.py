@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from thigmo.calibrate.bench import Bench, last_bends
-from thigmo.calibrate.columns import Array, column, of_sensors, sensors_of
+from thigmo.calibrate.columns import Array, column, mark_health, of_sensors, sensors_of
 from thigmo.calibrate.overhead import CAMERA_SCALE_SE
 from thigmo.calibrate.regression import fit_linear
 from thigmo.calibrate.verdict import StepResult, Verdict
@@ -59,15 +59,9 @@ class HeadingResult(StepResult):
 
     def write(self, config: RobotConfig) -> None:
         """Store scales, zeros, drift and health; a dead span keeps its old constants."""
-        sensors = sensors_of(config)
-        for fit in self.sensors:
-            sensor = sensors[fit.name]
-            if not isinstance(sensor, HeadingSensor):
-                continue
-            sensor.healthy = fit.healthy
-            if fit.healthy:
-                sensor.scale, sensor.scale_se = fit.scale, fit.scale_se
-                sensor.zero_rad, sensor.heading_se_rad = fit.zero_rad, self.heading_se_rad
+        for fit, sensor in mark_health(config, self.sensors, HeadingSensor):
+            sensor.scale, sensor.scale_se = fit.scale, fit.scale_se
+            sensor.zero_rad, sensor.heading_se_rad = fit.zero_rad, self.heading_se_rad
 
 
 def guided(bench: Bench) -> HeadingResult:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thigmo.calibrate.buckling import BucklingResult
-from thigmo.calibrate.columns import Array, constants_of, sensors_of
+from thigmo.calibrate.columns import Array, constants_of, mark_health, sensors_of
 from thigmo.calibrate.flex import FlexFit, FlexResult
 from thigmo.calibrate.flex_data import FlexReadings
 from thigmo.calibrate.flex_lines import LOOP_WIDTHS
@@ -37,15 +37,9 @@ class ThesisFlexResult(FlexResult):
 
     def write(self, config: RobotConfig) -> None:
         """Put in scales and zeros, with at least the errors of an uncalibrated sensor."""
-        sensors = sensors_of(config)
-        for fit in self.sensors:
-            sensor = sensors[fit.name]
-            if not isinstance(sensor, FlexSensor):
-                continue
-            sensor.healthy = fit.healthy
-            if fit.healthy:
-                sensor.scale_per_ohm, sensor.zero_ohm = fit.scale_per_ohm, fit.zero_ohm
-                sensor.scale_se = max(sensor.scale_se, _SCALE_SE)
+        for fit, sensor in mark_health(config, self.sensors, FlexSensor):
+            sensor.scale_per_ohm, sensor.zero_ohm = fit.scale_per_ohm, fit.zero_ohm
+            sensor.scale_se = max(sensor.scale_se, _SCALE_SE)
 
 
 def fit_flex(readings: FlexReadings, config: RobotConfig) -> ThesisFlexResult:

@@ -218,8 +218,8 @@ class _Detector:
             # It hides the flanks under it; its own centre, at its own height, is on the axis.
             center = cover.mean(axis=0)
             reach = float(np.linalg.norm(cover - center, axis=1).max()) + 0.3
-            under = np.linalg.norm(middle - center, axis=1) <= reach
-            last = int(np.argmax(under)) if under.any() else len(middle)
+            covered = np.linalg.norm(middle - center, axis=1) <= reach
+            last = int(np.argmax(covered)) if covered.any() else len(middle)
             middle = np.vstack([middle[:last], tip.center_cm])
             good = np.append(good[:last], True)
         line = fit_centerline(

@@ -41,8 +41,8 @@ def stop(
         raise typer.Exit(signals.status()) from None
     if not robots:
         way_out = "stop the one that does with Ctrl-C"
-        none = nobody() if robot is None else LinkError(way_to(robot)[1], way_out)
-        raise LinkError(f"NOT stopped: {failure(none)}")
+        unused = nobody() if robot is None else LinkError(way_to(robot)[1], way_out)
+        raise LinkError(f"NOT stopped: {failure(unused)}")
     failed = [result for result in robots if result.failure]
     stopped = [result for result in robots if not result.failure]
     show(

@@ -71,7 +71,6 @@ def bringup(
         str, typer.Option("--to", help="Stage to end with, for a robot that is not complete yet.")
     ] = "home",
     config: SentConfigOption = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the emulator.", min=0)] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check a newly wired robot, from its supply to homing, and name the plug of what is wrong.
@@ -102,7 +101,7 @@ def bringup(
             subject = finding.subject if same else f"{finding.stage}: {finding.subject}"
             typer.echo(filled(f"{mark} {subject}: {finding.observation}{cure}", indent=6))
 
-    with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
+    with console.interruptible(robot), connect(robot, operator=console) as machine:
         if config is not None:
             machine.configure(RobotConfig.load(config))
         if first != STAGES[0]:

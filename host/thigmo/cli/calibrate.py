@@ -21,14 +21,9 @@ if TYPE_CHECKING:
     from thigmo.calibrate.verdict import StepResult
     from thigmo.robot import Robot
 
-_STEPS = (
-    "pressure, encoder, actuator, base, flex, heading, fibre, hysteresis, buckling, stiffness, "
-    "noise, check"
-)
-
 
 def calibrate(
-    step: Annotated[str, typer.Argument(help=f"all, status, or one of: {_STEPS}.")],
+    step: Annotated[str, typer.Argument(help="all, status, or one of the steps above.")],
     robot: AnyRobotOption = None,
     folder: Annotated[Path, typer.Option(help="Calibration folder.")] = Path("calibration"),
     csv: Annotated[
@@ -66,7 +61,6 @@ def calibrate(
         ),
     ] = False,
     again: Annotated[bool, typer.Option("--again", help="Take the readings again.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the emulator.", min=0)] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the robot's constants, with an overhead camera; good ones go into FOLDER/robot.toml.
@@ -158,12 +152,12 @@ def calibrate(
             typer.echo(text)
 
     console = Console(quiet=as_json)
-    with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
+    with console.interruptible(robot), connect(robot, operator=console) as machine:
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
                     pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
-        overhead = _overhead_camera(machine, session, camera, seed)
+        overhead = _overhead_camera(machine, session, camera)
         bench = Bench(machine, overhead, session, plan, say)
         if step == "all":
             results = run_all(bench, again=again, method=method)
@@ -206,14 +200,14 @@ def _show_steps(
     show(as_json, facts, *lines)
 
 
-def _overhead_camera(machine: Robot, session: Session, camera: str, seed: int) -> OverheadCamera:
+def _overhead_camera(machine: Robot, session: Session, camera: str) -> OverheadCamera:
     """The camera: painted over an emulated robot, opened and located on a real one."""
     from thigmo.calibrate.overhead import OverheadCamera, painted_camera
     from thigmo.camera import CameraModel, open_source
 
     body = session.config.body
     sheet = load_sheet(body.length_cm)
-    if (painted := painted_camera(machine, sheet, body, seed)) is not None:
+    if (painted := painted_camera(machine, sheet, body, seed=0)) is not None:
         painted.model.save(session.folder / "camera.json")
         return painted
     return OverheadCamera(open_source(camera), CameraModel.load(CAMERA_FILE), sheet, body)

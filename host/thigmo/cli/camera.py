@@ -34,6 +34,7 @@ group = typer.Typer(
 SourceArgument = Annotated[
     str, typer.Argument(help="camera:0, a video, a picture, or a folder of pictures.")
 ]
+_LIVE_PICTURES = 12  # from a live camera, for the lens
 _MOST_PICTURES = 200  # of a video or folder, for the lens
 # In the folder in which the commands are run: where the cards lie, the lens, the camera's place.
 SHEET_FILE, LENS_FILE, CAMERA_FILE = Path("sheet.toml"), Path("lens.json"), Path("camera.json")
@@ -97,7 +98,6 @@ def _keep_old(path: Path) -> None:
 @group.command()
 def lens(
     source: SourceArgument,
-    count: Annotated[int, typer.Option(help="Pictures taken from a live camera.")] = 12,
     as_json: JsonOption = False,
 ) -> None:
     """Calibrate the lens from pictures of the lens board in several poses."""
@@ -106,9 +106,10 @@ def lens(
     shots: list[Picture] = []
     with closing(open_source(source)) as opened:
         if opened.live:
-            for number in range(count):
+            for number in range(_LIVE_PICTURES):
                 typer.prompt(
-                    f"picture {number + 1} of {count}: hold the board in a new pose, press Enter",
+                    f"picture {number + 1} of {_LIVE_PICTURES}: hold the board in a new pose, "
+                    "press Enter",
                     default="",
                     show_default=False,
                 )

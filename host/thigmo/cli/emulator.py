@@ -15,7 +15,6 @@ scene = typer.Typer(help="Work with scene files.", no_args_is_help=True)
 
 def emulate(
     scene: Annotated[str, typer.Argument(help="Scene file, or a built-in scene's name.")],
-    seed: Annotated[int | None, typer.Option(help="Seed of the noise.", min=0)] = None,
     link: Annotated[
         Path | None,
         typer.Option(help="Symbolic link to make to the port, so that its name stays the same."),
@@ -40,11 +39,11 @@ def emulate(
     from thigmo.emulator.serve import attend, serve
 
     if prompt:
-        attend(scene, seed=seed)
+        attend(scene)
         return
     with suppress(KeyboardInterrupt):  # a service: that is how it ends
         written = config or Path(f"{Path(scene).stem}-robot.toml")
-        serve(scene, seed=seed, link=link, config=written, announce=typer.echo)
+        serve(scene, link=link, config=written, announce=typer.echo)
 
 
 @scene.command()

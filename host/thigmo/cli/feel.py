@@ -31,7 +31,6 @@ def feel(
     ] = None,
     count: Annotated[int, typer.Option(help="Number of answers, one every 0.5 s.", min=1)] = 10,
     config: KnownConfigOption = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the emulator's noise.", min=0)] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Say where the body is touched now, by the board's sensors, or a fibre if robot.toml has one.
@@ -51,7 +50,7 @@ def feel(
 
     known = None if config is None else RobotConfig.load(config)
     console, answers = Console(quiet=as_json), []
-    with console.interruptible(robot), connect(robot, seed=seed, operator=console) as machine:
+    with console.interruptible(robot), connect(robot, operator=console) as machine:
         if (used := known or machine.known_config) is None:
             raise ConfigError(f"the constants of {robot} are not known", "give --config robot.toml")
         muscle, psi = _pressed(press, used)

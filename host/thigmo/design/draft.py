@@ -221,10 +221,10 @@ def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
     friction = usual.growth_psi_per_cm * usual.diameter_cm / diameter_cm
     pressures = []
     for share, psi in _ZONES:
-        until = share * length_cm
-        needed = _GROWTH_MARGIN * (usual.growth_psi + friction * until)
+        end_cm = share * length_cm
+        needed = _GROWTH_MARGIN * (usual.growth_psi + friction * end_cm)
         pressures.append(
-            BodyPressure(until_cm=round(until, 1), pressure_psi=round(max(psi, needed), 2))
+            BodyPressure(until_cm=round(end_cm, 1), pressure_psi=round(max(psi, needed), 2))
         )
     pressures[-1].until_cm = length_cm
     return Body(

@@ -327,10 +327,10 @@ def _contacts(wiring: Wiring, side: Side) -> Iterator[Finding]:
         100 * _localized(config, column, arcs, moment, min(muscle.offset_se, offset), gain).mean()
         for offset, gain in ((np.inf, np.inf), (_CALIBRATED_OFFSET, _CALIBRATED_GAIN))
     )
-    before = f"on {stated:.0f} % before" if stated >= 0.5 else "nowhere before"
+    uncalibrated = f"on {stated:.0f} % before" if stated >= 0.5 else "nowhere before"
     text = (
         f"a contact pressed as hard as the base allows is localized to {width} on "
-        f"{calibrated:.0f} % of the body once calibrated, {before}"
+        f"{calibrated:.0f} % of the body once calibrated, {uncalibrated}"
     )
     if calibrated >= _LOCALIZED_LEAST:
         yield Finding(part, "ok", text)

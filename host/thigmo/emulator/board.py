@@ -59,7 +59,7 @@ class EmulatedBoard(Protocol):
     def set_estop(self, pressed: bool, /) -> None:
         """Emergency stop input."""
 
-    def set_motor_power(self, on: bool, /) -> None:
+    def set_motor_power(self, powered: bool, /) -> None:
         """Input that shows the motor's supply, behind its contacts."""
 
     @property

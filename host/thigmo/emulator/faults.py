@@ -58,11 +58,11 @@ class FaultInjector:
         for end, fault in list(self._running):
             if plant.t_s >= end:
                 self._running.remove((end, fault))
-                self._set(fault, plant, board, on=False)
+                self._set(fault, plant, board, present=False)
         for fault in list(self._waiting):
             if self._begins(fault, plant, board):
                 self._waiting.remove(fault)
-                self._set(fault, plant, board, on=True)
+                self._set(fault, plant, board, present=True)
                 lasts = fault.duration_s
                 if fault.kind == "power_cut" and lasts is None:
                     lasts = _POWER_OFF_S
@@ -80,14 +80,14 @@ class FaultInjector:
         )
 
     @staticmethod
-    def _hold(where: dict[int, float], channel: int, value: float, on: bool) -> None:
-        if on:
+    def _hold(where: dict[int, float], channel: int, value: float, present: bool) -> None:
+        if present:
             where[channel] = value
         else:
             where.pop(channel, None)
 
-    def _set(self, fault: FaultTable, plant: Plant, board: EmulatedBoard, *, on: bool) -> None:
-        (self.active.add if on else self.active.discard)(fault.kind)
+    def _set(self, fault: FaultTable, plant: Plant, board: EmulatedBoard, *, present: bool) -> None:
+        (self.active.add if present else self.active.discard)(fault.kind)
         robot = plant.scene.robot
         muscle = next((n for n, m in enumerate(robot.muscles) if m.side == fault.side), 0)
         flex = fault.kind.startswith("flex")
@@ -99,74 +99,76 @@ class FaultInjector:
         value = _DEFAULTS.get(fault.kind, 0.0) if fault.value is None else fault.value
         match fault.kind:
             case "flex_wire_cut" | "pressure_wire_cut":
-                self._hold(plant.stuck, channel, OPEN_COUNT, on)
+                self._hold(plant.stuck, channel, OPEN_COUNT, present)
             case "flex_short" | "pressure_short":
-                self._hold(plant.stuck, channel, SHORT_COUNT, on)
+                self._hold(plant.stuck, channel, SHORT_COUNT, present)
             case "flex_frozen":
-                self._hold(plant.stuck, channel, float(plant.analog[channel, 1]), on)
+                self._hold(plant.stuck, channel, float(plant.analog[channel, 1]), present)
             case "flex_noisy":
-                self._hold(plant.flex_noise, channel, value, on)
+                self._hold(plant.flex_noise, channel, value, present)
             case "imu_hung":
                 end_cm = robot.column(fault.side)[fault.sensor].passes_at.center_cm
-                (plant.imus.hung.add if on else plant.imus.hung.discard)(plant.imus.imu_at(end_cm))
+                (plant.imus.hung.add if present else plant.imus.hung.discard)(
+                    plant.imus.imu_at(end_cm)
+                )
             case "grating_lost":
                 lost = plant.fibre.lost_gratings
-                (lost.add if on else lost.discard)(fault.sensor)
+                (lost.add if present else lost.discard)(fault.sensor)
             case "grating_noisy":
-                self._hold(plant.fibre.noisy, fault.sensor, value, on)
+                self._hold(plant.fibre.noisy, fault.sensor, value, present)
             case "interrogator_silent":
-                plant.fibre.silent = on
+                plant.fibre.silent = present
             case "pressure_frozen":
                 level = plant.pressure_reading[muscle] if fault.value is None else value
-                plant.pressure_frozen[muscle] = level if on else math.nan
+                plant.pressure_frozen[muscle] = level if present else math.nan
             case "pressure_gain" | "pressure_offset" | "pressure_noisy":
                 neutral = 1.0 if fault.kind == "pressure_gain" else 0.0
-                getattr(plant, fault.kind)[muscle] = value if on else neutral
+                getattr(plant, fault.kind)[muscle] = value if present else neutral
             case "pressure_flickers":
-                plant.pressure_most[muscle] = value if on else math.inf
+                plant.pressure_most[muscle] = value if present else math.inf
             case "pressure_chatters":
-                self._hold(plant.chatters, channel, value, on)
+                self._hold(plant.chatters, channel, value, present)
             case "pressure_stuck":
                 level = plant.muscle_psi[muscle] if fault.value is None else value
-                plant.forced_outlet[muscle] = level if on else math.nan
+                plant.forced_outlet[muscle] = level if present else math.nan
             case "over_pressure":
-                plant.forced_outlet[muscle] = value if on else math.nan
+                plant.forced_outlet[muscle] = value if present else math.nan
             case "air_lost":
-                plant.forced_outlet[:] = 0.0 if on else math.nan
+                plant.forced_outlet[:] = 0.0 if present else math.nan
             case "motor_shorted":
-                plant.motor_forced = int(value) if on else None
+                plant.motor_forced = int(value) if present else None
             case "motor_lost" | "spool_stall":
-                setattr(plant, fault.kind, on)
+                setattr(plant, fault.kind, present)
             case "encoder_lost" | "encoder_share":
-                plant.encoder_share = value if on else 1.0
+                plant.encoder_share = value if present else 1.0
             case "tail_jam":
-                plant.tail_jammed = on
+                plant.tail_jammed = present
             case "line_snapped":
-                plant.line_snapped = on
+                plant.line_snapped = present
             case "brake_open" | "brake_closed":
-                plant.brake_stuck = (fault.kind == "brake_open") if on else None
+                plant.brake_stuck = (fault.kind == "brake_open") if present else None
             case "contact_welded":
-                plant.contact_welded = on
+                plant.contact_welded = present
             case "reference_off":
                 # The supply is measured by the same converter, and seems less by as much.
-                plant.reference = value if on else 1.0
+                plant.reference = value if present else 1.0
                 board.set_supply_mv(round(self._supply * plant.reference))
             case "spool_slip":
-                plant.slip_cm_s = value if on else 0.0
+                plant.slip_cm_s = value if present else 0.0
             case "host_silent":
-                self.host_silent = on
+                self.host_silent = present
             case "brown_out":
-                board.set_supply_mv(int(value) if on else self._supply)
+                board.set_supply_mv(int(value) if present else self._supply)
             case "power_cut":
-                self.powered = not on
-                if not on:
+                self.powered = not present
+                if not present:
                     board.reset(int(ResetCause.POWER_ON))
-            case "power_cut_saving" if on:
+            case "power_cut_saving" if present:
                 board.cut_power_after(int(value))
             case "power_cut_saving":
                 board.reset(int(ResetCause.POWER_ON))
             case "estop":
-                board.set_estop(on)
-                plant.estop = on
-            case "hang" if on:
+                board.set_estop(present)
+                plant.estop = present
+            case "hang" if present:
                 board.hang()

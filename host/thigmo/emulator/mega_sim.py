@@ -204,9 +204,9 @@ class SimulatedMega:
         """Emergency stop: a closed contact to ground that opens when pressed."""
         self.chip.drive_pin(*ESTOP, pressed)
 
-    def set_motor_power(self, on: bool) -> None:
+    def set_motor_power(self, powered: bool) -> None:
         """Input that shows the motor's supply, behind its contacts."""
-        self.chip.drive_pin(*MOTOR_POWER, on)
+        self.chip.drive_pin(*MOTOR_POWER, powered)
 
     # --- outputs ----------------------------------------------------------------------------------
     def _level(self, pin: tuple[str, int]) -> bool:

@@ -435,9 +435,9 @@ class MicroPythonBoard:
         """Emergency stop."""
         self._estop = pressed
 
-    def set_motor_power(self, on: bool) -> None:
+    def set_motor_power(self, powered: bool) -> None:
         """Input that shows the motor's supply, behind its contacts."""
-        self._motor_power = on
+        self._motor_power = powered
 
     # --- outputs ----------------------------------------------------------------------------------
     @property

@@ -193,7 +193,10 @@ class Plant:
         everts = np.array([[s.center_cm, s.span_cm] for s in self._sensors])
         self._ends = everts @ [1.0, 0.5]
         self._centers, self._spans = np.array(
-            [(s.center_cm, s.span_cm) if s else none for s, none in zip(wired, everts, strict=True)]
+            [
+                (s.center_cm, s.span_cm) if s else place
+                for s, place in zip(wired, everts, strict=True)
+            ]
             + [(s.center_cm, s.span_cm) for s in robot.gratings]
         ).T
         # Of the board's inputs, and then of the fibre's gratings, which tell the two bends apart.
@@ -421,7 +424,8 @@ class Plant:
                 outlets = np.zeros(len(self._muscles))
             self._move_body_air(open_=air[1])
         current = [
-            20.0 * duty / DRIVE_FULL if on else 0.0 for duty, on in zip(drive, enabled, strict=True)
+            20.0 * duty / DRIVE_FULL if opens else 0.0
+            for duty, opens in zip(drive, enabled, strict=True)
         ]
         driven = zip(self._muscles, current, outlets, strict=False)
         bends = [muscle.advance(ma, psi) for muscle, ma, psi in driven]
@@ -501,8 +505,8 @@ class Plant:
         if allowed <= self.length_cm:
             return float(allowed)
         friction = robot.body.growth_psi_per_cm * self.length_cm
-        over = self.body_psi - robot.body.growth_psi - friction
-        rate = max(over, 0.0) * body.growth_cm_s_psi
+        excess_psi = self.body_psi - robot.body.growth_psi - friction
+        rate = max(excess_psi, 0.0) * body.growth_cm_s_psi
         return float(min(allowed, self.length_cm + rate * STEP_S))
 
     def _solve(self, length: float) -> None:
@@ -575,9 +579,9 @@ class Plant:
         analog = self.analog
         analog[:, 0] = analog[:, 1]
         length, t_s = self.length_cm, self.t_s
-        under = [0.0 if n is None else self._muscles[n].bend_psi for n in self._under]
+        wrinkling_psi = [0.0 if n is None else self._muscles[n].bend_psi for n in self._under]
         inputs = len(self._sensors)
-        levels = zip(self._sensors, self._curvature[:inputs].tolist(), under, strict=True)
+        levels = zip(self._sensors, self._curvature[:inputs].tolist(), wrinkling_psi, strict=True)
         analog[:inputs, 1] = [s.count(bend, length, t_s, psi) for s, bend, psi in levels]
         self.fibre.step(self.steps, self._curvature[inputs:], length)
         if self._turning.size:

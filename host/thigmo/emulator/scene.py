@@ -310,8 +310,8 @@ class Scene(Model):
     def _possible(self) -> Self:
         radius = self.robot.body.radius_cm
         for index, peg in enumerate(self.pegs):
-            beside = max(abs(peg.y) - radius, 0.0)
-            if hypot(peg.x, beside) < peg.radius:
+            side_cm = max(abs(peg.y) - radius, 0.0)
+            if hypot(peg.x, side_cm) < peg.radius:
                 raise ValueError(f"pegs[{index}] overlaps the robot's base at (0, 0)")
         for index, wall in enumerate(self.walls):
             if not wall.clear_of_base(radius):

@@ -223,16 +223,16 @@ def brought_up(robot: RobotConfig | None = None) -> bytes:
     return board.eeprom
 
 
-def configured(room: Scene, seed: int | None) -> bytes:
+def configured(room: Scene) -> bytes:
     """Store of a usual board that holds the robot of a scene, as its lab knows it."""
     board = virtual_board(room.robot, 0, brought_up(room.robot))
-    transport = EmulatorTransport(room, board, seed=seed)
+    transport = EmulatorTransport(room, board)
     with Client(transport) as client:
         Robot(client).configure(transport.config)
     return board.eeprom
 
 
-def attend(scene: str | Path, *, seed: int | None = None) -> None:
+def attend(scene: str | Path) -> None:
     """Serve a scene beside MicroPython's prompt in this terminal, until it is left.
 
     The prompt's `thigmo_board` is the controller of the scene's robot, which knows its constants. A
@@ -245,9 +245,8 @@ def attend(scene: str | Path, *, seed: int | None = None) -> None:
 
     room = Scene.load(scene)
     require_usual(room.robot)
-    used = room.seed if seed is None else seed
-    board = MicroPythonBoard(used, configured(room, seed)[:STORE_SIZE], attended=True)
-    server = PtyServer(Lockstep(room, board, seed=seed), reset_on_open=False)
+    board = MicroPythonBoard(room.seed, configured(room)[:STORE_SIZE], attended=True)
+    server = PtyServer(Lockstep(room, board), reset_on_open=False)
     print(f"{room.name}: a host may open {server.path}; Ctrl-D leaves the prompt", file=sys.stderr)
     previous = signal.signal(signal.SIGINT, lambda *_: None)  # Ctrl-C is for the prompt
     try:
@@ -260,7 +259,6 @@ def attend(scene: str | Path, *, seed: int | None = None) -> None:
 def serve(
     scene: str | Path,
     *,
-    seed: int | None = None,
     link: Path | None = None,
     config: Path | None = None,
     announce: Callable[[str], None] = print,
@@ -269,21 +267,19 @@ def serve(
 
     Args:
         scene: a scene's name or the path of its file.
-        seed: of all noise; None takes the scene's.
         link: a symbolic link to make to the port.
         config: where to write this robot's constants, as its lab knows them.
         announce: called with where the port is, once it can be opened.
     """
     room = Scene.load(scene)
-    used = room.seed if seed is None else seed
-    board = virtual_board(room.robot, used, brought_up(room.robot))
-    lockstep = Lockstep(room, board, seed=seed)
+    board = virtual_board(room.robot, room.seed, brought_up(room.robot))
+    lockstep = Lockstep(room, board)
     server = PtyServer(lockstep, link=link)
     port = server.path if link is None else link
     try:
         message = f"{room.name}: open {port}; Ctrl-C ends it"
         if config is not None:
-            believed = room.believed(seed)
+            believed = room.believed()
             if not (config.exists() and RobotConfig.load(config) == believed):
                 believed.save(config)
             message += f"\nIts constants: thigmo explore --robot {port} --config {config}"

@@ -197,9 +197,9 @@ class Planner:
 
     def measures(self, plan: Plan, length_cm: float, spent_s: float) -> bool:
         """Whether a contact at a length is measured: the budget leaves time for the plan's rest."""
-        after = Plan(tuple(s for s in plan.stops if s > length_cm + SAME_LENGTH_CM), 0)
+        remainder = Plan(tuple(s for s in plan.stops if s > length_cm + SAME_LENGTH_CM), 0)
         needed_s = self.measurement_s(length_cm, plan.measurements)
-        needed_s += self.expected_s(after, length_cm)
+        needed_s += self.expected_s(remainder, length_cm)
         return plan.measurements > 0 and spent_s + needed_s <= self.effort.time_s
 
     def _full(self, length_cm: float) -> bool:

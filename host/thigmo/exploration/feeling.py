@@ -16,19 +16,18 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.config import DEGREES, SAME_LENGTH_CM, Muscle, RobotConfig, Sensor
-from thigmo.errors import CommandRefusedError, DataError
+from thigmo.errors import DataError
 from thigmo.exploration.growth import growth_target, growth_zone
 from thigmo.localization import LocalizeResult, localize
 from thigmo.mechanics import rest_mean
 from thigmo.reading_errors import errors_of
-from thigmo.robot import Robot
+from thigmo.robot import Robot, zero_when_steady
 from thigmo.robot.curvature import Floats
 
 Ints = npt.NDArray[np.intp]
 
 READ_S = 0.5
 STEADY_S = 3.0  # from a change of pressure or length to a bend at rest
-_ZERO_TRIES = 3  # of zeroing a body that still drifts
 _SAME_SHARE = 1e-6
 # A fold is weighed in the plane only (`localization.Body`).
 _OF_THE_PLANE = ("critical_curvature", "critical_curvature_error", "base_fold_error")
@@ -85,7 +84,7 @@ def prepare(robot: Robot) -> None:
         robot.arm()
     robot.vent()
     robot.wait_settled()
-    _zero(robot)
+    zero_when_steady(robot, pause_s=STEADY_S)
 
 
 def grow_until_touched(robot: Robot, length_cm: float, say: Callable[[str], None]) -> bool:
@@ -123,20 +122,7 @@ def _zero_everted(robot: Robot) -> None:
     status = robot.status()
     if new := status.everted & ~status.zeroed:
         robot.wait_settled(sensors=new)
-        _zero(robot, new)
-
-
-def _zero(robot: Robot, sensors: int = -1) -> None:
-    """Zero sensors of a mask, -1 for all; try again while the body drifts."""
-    for tries in range(_ZERO_TRIES):
-        try:
-            robot.zero(sensors)
-        except CommandRefusedError as error:
-            if error.reason != "drifting" or tries + 1 == _ZERO_TRIES:
-                raise
-            robot.wait(STEADY_S)
-        else:
-            return
+        zero_when_steady(robot, new, pause_s=STEADY_S)
 
 
 def _by_fibre(robot: Robot) -> Feeling:

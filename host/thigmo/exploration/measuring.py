@@ -43,8 +43,8 @@ def caught_sides(sweep: SweepResult) -> set[Side]:
     for side in SIDES:
         free = np.array([abs(f.free_curvature) for f in sweep.frames if f.side == side])
         held = curvature_deficit(sweep.frames, side)
-        over = np.abs(held) - free[: len(held)] / _GIVES_UP
-        if np.count_nonzero(over > _CAUGHT_PER_CM) >= _SMOOTH:
+        excess = np.abs(held) - free[: len(held)] / _GIVES_UP
+        if np.count_nonzero(excess > _CAUGHT_PER_CM) >= _SMOOTH:
             caught.add(side)
     return caught
 

@@ -265,6 +265,6 @@ def _areas(grid: OccupancyGrid, free: Mask) -> list[FreeArea]:
 def _corners(loop: NDArray[np.float64]) -> list[Point]:
     """The points of a closed line, its first and last the same, at which it turns."""
     step = np.diff(loop, axis=0)
-    before = np.roll(step, 1, axis=0)
-    turns = ~np.isclose(step[:, 0] * before[:, 1], step[:, 1] * before[:, 0])
+    previous = np.roll(step, 1, axis=0)
+    turns = ~np.isclose(step[:, 0] * previous[:, 1], step[:, 1] * previous[:, 0])
     return [(round(x, 3), round(y, 3)) for x, y in loop[:-1][turns].tolist()]

@@ -21,7 +21,6 @@ from thigmo.record import (
     read_obstacles,
     read_ros_map,
 )
-from thigmo.report import plot_map
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -102,6 +101,8 @@ class ExplorationResult:
         Draws on `axes`, or on a new figure of matplotlib's pyplot. Raises ConfigError or
         RunFolderError if the folder's robot.toml or prior.json cannot be read.
         """
+        from thigmo.report import plot_map
+
         radius, prior = self.config.body.radius_cm, kept_prior(RunFolder(self.folder))
         return plot_map(self.document, axes, radius_cm=radius, prior=prior)
 

@@ -122,11 +122,15 @@ class Exploration:
                 self._pause()
             self.tell()
             outcome: str = getattr(self, f"_{self.state.name.lower()}")()
-            after = NEXT[self.state, outcome]
+            next_state = NEXT[self.state, outcome]
             self.log.note(
-                "state", self.robot.now(), state=self.state.name, outcome=outcome, next=after.name
+                "state",
+                self.robot.now(),
+                state=self.state.name,
+                outcome=outcome,
+                next=next_state.name,
             )
-            self.state = after
+            self.state = next_state
 
     def tell(self, waiting: str = "", *, paused: bool = False) -> None:
         """Publish what the run does, or how it ended."""

@@ -139,12 +139,12 @@ class HeldBent(Obstruction):
         """Everted length at which the tip is clear of the peg."""
         return max(self.interval_cm[0] - _CLEAR_CM, 0.0)
 
-    def released(self, before: Floats, after: Floats) -> bool:
+    def released(self, old_zeros: Floats, new_zeros: Floats) -> bool:
         """Whether the zeros (10,) came back when the tip was clear, as those of a held body do.
 
         True as well where no sensor can tell: what may be a peg is not grown into.
         """
-        back = before - after
+        back = old_zeros - new_zeros
         known = np.isfinite(self.bend) & np.isfinite(back) & (back != 0.0)
         bend = self.bend[known]
         return not known.any() or float(bend @ back[known]) > _CAME_BACK * float(bend @ bend)
@@ -214,8 +214,8 @@ def _before(length_cm: Floats, reading: Floats, start: float) -> float:
 
 def _left_late(length_cm: Floats, reading: Floats, start: float, end: float) -> float:
     """By how much later than the line says the fold went past a sensor, cm."""
-    before = _before(length_cm, reading, start)
-    rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - before)
+    line = _before(length_cm, reading, start)
+    rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - line)
     top = int(rise.argmax())
     low = np.flatnonzero(rise[top:] < _PASSED * rise[top])
     # It is past by half where the tip stands in the sensor's last quarter.
@@ -226,9 +226,9 @@ def _stalled(
     length_cm: Floats, reading: Floats, start: float, end: float, least: float
 ) -> tuple[float, float, float] | None:
     """(tip, low, high) of a sensor that the fold did not pass through; None if it did."""
-    before = _before(length_cm, reading, start)
+    line = _before(length_cm, reading, start)
     last = float(np.median(reading[-_SMOOTH:]))
-    rise = np.abs(reading - before)
+    rise = np.abs(reading - line)
     top = int(rise.argmax())
     if rise[top] < least:  # it has not reached the fold
         low, high = float(length_cm[0]), start + _ONSET_CM
@@ -244,19 +244,19 @@ def _stalled(
 
 
 def detect_held_bent(
-    profile: Profile, before: Floats, after: Floats, table: SensorTable
+    profile: Profile, old_zeros: Floats, new_zeros: Floats, table: SensorTable
 ) -> HeldBent | None:
     """What a growth's readings and the zeros around it show of the body; None if it is straight.
 
-    `before` and `after` (10,) are NaN without a zero. Before the first of all zeros, the growth's
-    own readings stand for it.
+    `old_zeros` and `new_zeros` (10,) are NaN without a zero. Before the first of all zeros, the
+    growth's own readings stand for it.
     """
     if len(profile.length_cm) < _SMOOTH:
         return None
-    if np.isnan(before).all():
-        profile, before, after = _first_zeros(profile, table)
+    if np.isnan(old_zeros).all():
+        profile, old_zeros, new_zeros = _first_zeros(profile, table)
     length_cm, bend = profile.length_cm, profile.bend
-    moved = after - before
+    moved = new_zeros - old_zeros
     known = table.healthy & np.isfinite(moved) & np.isfinite(bend).all(axis=0)
     for way in (1, -1):
         use = known & ((table.bend_sign == 0) | (table.bend_sign == way))
@@ -266,7 +266,7 @@ def detect_held_bent(
         together = way * float((moved[use] / table.noise[use]).sum()) / np.sqrt(count)
         if together < _SIGMAS:
             continue
-        passing = _half_bent(length_cm, bend[:, use] - before[use], moved[use])
+        passing = _half_bent(length_cm, bend[:, use] - old_zeros[use], moved[use])
         if passing is None:
             continue  # the zeros moved after the growth
         low, high = passing - _BACK_CM, min(passing + _ON_CM, float(length_cm[-1]))
@@ -291,7 +291,7 @@ def _first_zeros(profile: Profile, table: SensorTable) -> tuple[Profile, Floats,
     as a sum of a slow and a fast decay. A peg's bend appears in all of them at one length, at which
     the fit leaves the smallest residual.
     """
-    before, after = np.full((2, len(table.center_cm)), np.nan)
+    old_zeros, new_zeros = np.full((2, len(table.center_cm)), np.nan)
     out_cm = table.center_cm + table.span_cm / 2 + FOLD_MARGIN_CM
     place_cm = np.min(out_cm[table.healthy], initial=np.inf)
     first = table.healthy & (out_cm <= place_cm + _SAME_PLACE_CM)
@@ -310,9 +310,9 @@ def _first_zeros(profile: Profile, table: SensorTable) -> tuple[Profile, Floats,
             fit = np.linalg.lstsq(design, readings)[0]
             fits.append((float(((design @ fit - readings) ** 2).sum()), fit))
         start, step, *creep = min(fits, key=lambda fit: fit[0])[1]
-        before[first], after[first] = start, start + step
+        old_zeros[first], new_zeros[first] = start, start + step
         straight[:, first] = bend - decays @ np.array(creep)
-    return Profile(t_s, profile.length_cm[rows], straight), before, after
+    return Profile(t_s, profile.length_cm[rows], straight), old_zeros, new_zeros
 
 
 def _half_bent(length_cm: Floats, bend: Floats, moved: Floats) -> float | None:

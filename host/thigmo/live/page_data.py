@@ -120,7 +120,7 @@ def pegs(folder: str) -> list[dict[str, float]]:
 
 
 class PastRun:
-    """A finished run. Raises RunFolderError if it has no record, or one of an earlier version."""
+    """A finished run. Raises RunFolderError as `read_messages` does."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = str(folder)

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from thigmo.display.bars import Bar
-from thigmo.display.series import draw_series
 from thigmo.errors import DataError
 from thigmo.extras import data_frame
 from thigmo.localization.doubts import MISTAKES, remarks
@@ -118,6 +117,8 @@ class BatchResult:
         Returns:
             The axes.
         """
+        from thigmo.display.series import draw_series
+
         numbers = np.arange(len(self))
         positions = numbers if moments is None else np.asarray(moments, dtype=np.float64)
         if positions.shape != (len(self),):

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from thigmo.contact_status import POINT_ESTIMATE, interval_text
 from thigmo.display.bars import Bar
 from thigmo.display.html import body_strip, html_card, html_table
-from thigmo.display.posterior import draw_posterior
 from thigmo.extras import data_frame
 from thigmo.localization import _posterior, priors
 from thigmo.localization.doubts import doubts, reduced, remarks
@@ -359,6 +358,8 @@ class LocalizeResult:
         Returns:
             The axes.
         """
+        from thigmo.display.posterior import draw_posterior
+
         bars = [contact._bar for contact in self.contacts]
         return draw_posterior(
             self.length, self.edges, self.mass, bars, self._title, self.message,

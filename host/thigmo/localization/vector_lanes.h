@@ -5,8 +5,7 @@
 // processor computes four of them (AVX2), or eight (AVX-512), where plain code computes one. Plain
 // code takes three to eight times as long. What is needed for that is here:
 //
-// - `Lanes<N>::Type` is a vector of N numbers, by the compilers' vector extension. `+`, `*`, `>`
-// and
+// - `Lanes<N>::Type` is a vector of N numbers, by the compilers' extension. `+`, `*`, `>` and
 //   `a > b ? a : b` act on all lanes at once, so equations read as for a single number.
 //   `lanes<N>(pointer)` takes N numbers from memory or puts them there; their address needs no
 //   alignment. `Numbers{}` is zero in all lanes, and `x + Numbers{}` is x in all lanes.

@@ -22,7 +22,6 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from thigmo.display.grid import draw_grid
 from thigmo.display.html import html_card, html_table
 from thigmo.errors import RunFolderError
 from thigmo.extras import require
@@ -72,6 +71,8 @@ class OccupancyGrid:
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw the cells in the robot's frame; without axes on a new figure of pyplot."""
+        from thigmo.display.grid import draw_grid
+
         return draw_grid(
             self.cells == FREE, self.cells == OCCUPIED, self.resolution_cm, self.origin, axes
         )

@@ -22,6 +22,7 @@ from thigmo.robot.state import (
 from thigmo.robot.strains import Strains
 from thigmo.robot.sweep import FRAME_SPACING_S, TRIGGER_PER_CM, rising_period_s, sweep_period_s
 from thigmo.robot.watchers import GrowthWatcher, Profile, SweepWatcher, peak_frame
+from thigmo.robot.zeroing import zero_when_steady
 
 __all__ = [
     "FRAME_SPACING_S",
@@ -52,4 +53,5 @@ __all__ = [
     "peak_frame",
     "rising_period_s",
     "sweep_period_s",
+    "zero_when_steady",
 ]

@@ -76,9 +76,9 @@ class CreepWatch:
         for i in range(size):
             if i not in self._laws or not sensors >> i & 1 or np.isnan(self._everted_s[i]):
                 continue
-            since = times - self._everted_s[i]
-            use = np.flatnonzero((since > _FIRST_S) & (times < at_s))
-            bins = np.unique((since[use] / _BIN_S).astype(int), return_inverse=True)[1]
+            age_s = times - self._everted_s[i]
+            use = np.flatnonzero((age_s > _FIRST_S) & (times < at_s))
+            bins = np.unique((age_s[use] / _BIN_S).astype(int), return_inverse=True)[1]
             if not use.size or bins[-1] + 1 < _FEWEST:
                 continue
             sums: Floats = np.array([self._sums[k] for k in use], dtype=np.float64)
@@ -86,7 +86,7 @@ class CreepWatch:
             count = np.bincount(bins)
             level = float(raw[-1])
             level_at = np.bincount(bins, raw - level) / count
-            bin_s = np.bincount(bins, since[use]) / count
+            bin_s = np.bincount(bins, age_s[use]) / count
             noise = float(self._table.noise[i])
             # A second pass lets this eversion's own amplitude carry the doubt about tau.
             law = self._laws[i]

@@ -674,7 +674,9 @@ class Robot(Closing):
         Raises:
             ConfigError: the contact trigger has no sensor that works while a muscle bends the body.
         """
-        for muscle in (self.config.muscles[self.config.muscle_number(at)] for at in tops_psi):
+        for muscle in (
+            self.config.muscles[self.config.muscle_number(towards)] for towards in tops_psi
+        ):
             if muscle in self.wiring.unguarded_muscles:
                 raise ConfigError(
                     f"no healthy sensor at the base answers to muscle {muscle.name}: a sweep "
@@ -698,12 +700,12 @@ class Robot(Closing):
         rising: bool = False,
         enough: Callable[[SweepResult], bool] | None = None,
     ) -> SweepResult:
-        before = self.status()
+        status = self.status()
         sides = self.config.muscle_sides
         watcher = SweepWatcher(
             self.readings.table,
-            before.everted & before.settled & before.zeroed,
-            before.length_cm or 0.0,
+            status.everted & status.settled & status.zeroed,
+            status.length_cm or 0.0,
             self.aside,
             self.readings.creep,
             rising,

@@ -84,8 +84,8 @@ def mean_peak(peaks: Sequence[Peak]) -> Peak:
 
     The error of a young sensor's resting value is common to them, so it is not averaged away.
     """
-    first, *more = peaks
-    if not more:
+    first, *others = peaks
+    if not others:
         return first
     return replace(
         first,

@@ -60,6 +60,6 @@ class Strains:
 
 def _apart(times: Floats, t_s: Floats) -> Floats:
     """From each of `t_s` to the nearest of `times`, which ascend."""
-    after = np.searchsorted(times, t_s)
+    index = np.searchsorted(times, t_s)
     ends = np.concatenate([[-np.inf], times, [np.inf]])
-    return np.asarray(np.minimum(t_s - ends[after], ends[after + 1] - t_s))
+    return np.asarray(np.minimum(t_s - ends[index], ends[index + 1] - t_s))

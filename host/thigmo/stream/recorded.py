@@ -72,17 +72,15 @@ def read_messages(
     """The messages that a run published, in order of time, from its folder or its run.mcap.
 
     `channels` selects some; None takes all. Of a damaged record, the intact messages are returned.
-    Raises RunFolderError if there is no record, or it holds only raw frames (earlier versions).
+    Raises RunFolderError if there is no record, or none of a run's messages is in it.
     """
     path = Path(run)
     path = path / "run.mcap" if path.is_dir() else path
     wanted = {f"/{channel}" for channel in (RECORDED if channels is None else channels)}
     record = read_mcap(path, wanted)
-    if not record.topics:
-        raise RunFolderError(f"{path} is empty", "its run ended before it began: run it again")
     if record.topics.isdisjoint(f"/{channel}" for channel in RECORDED):
         raise RunFolderError(
-            f"{path} holds only raw frames", "record the run again with this version of thigmo"
+            f"{path} has no message of a run", "its run ended before it began: run it again"
         )
     from thigmo.stream.protobuf import from_protobuf
 

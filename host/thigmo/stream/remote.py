@@ -109,9 +109,9 @@ class Server(Closing):
         self._listener.close()
         for _, messages in clients:
             messages.close()
-        until = time.monotonic() + _LAST_S
+        end_s = time.monotonic() + _LAST_S
         for thread, _ in clients:
-            thread.join(max(until - time.monotonic(), 0.0))
+            thread.join(max(end_s - time.monotonic(), 0.0))
 
     def _accept(self) -> None:
         """Thread: new clients."""

@@ -69,13 +69,13 @@ def _timed_call(
 
         return baseline
     fold: dict[str, Any] = {"critical_curvature": CRITICAL, "critical_curvature_error": 0.1}
-    how: dict[str, Any] = {"tube_radius": RADIUS, "contacts": count}
+    statements: dict[str, Any] = {"tube_radius": RADIUS, "contacts": count}
     if method == ON_A_ROBOT:
-        how = ROBOT | fold
+        statements = ROBOT | fold
     elif method != UNSTATED:
-        how = ROBOT | {"contacts": count, "method": method}
+        statements = ROBOT | {"contacts": count, "method": method}
     localizer = Localizer.of(
-        position=case.position, length=LENGTH, span=case.span, noise=noise, **how
+        position=case.position, length=LENGTH, span=case.span, noise=noise, **statements
     )  # fmt: skip
     return lambda: [
         contact.arc

@@ -48,7 +48,7 @@ def run(context: Context) -> Outcome:
         sockets = {**os.environ, OTHER_PLACE: folder}
         start: Start = partial(subprocess.Popen, env=sockets, text=True, stdout=subprocess.PIPE)
         place = stack.enter_context(_page(start, folder))
-        for visitors, how, crowd in (
+        for visitors, description, crowd in (
             ("nobody else", "the page alone", (0, 0)),
             ("a crowd", f"{_DRIPPING} dripping, {_HALF_OPEN} half open", (_DRIPPING, _HALF_OPEN)),
         ):
@@ -59,7 +59,13 @@ def run(context: Context) -> Outcome:
                     times.append(1e3 * pressed_s(place))
             p50, worst = float(np.median(times)), max(times)
             rows.append(
-                {"who": visitors, "how": how, "n": presses, "p50_ms": p50, "worst_ms": worst}
+                {
+                    "who": visitors,
+                    "how": description,
+                    "n": presses,
+                    "p50_ms": p50,
+                    "worst_ms": worst,
+                }
             )
     worst_s = float(rows[-1]["worst_ms"]) / 1e3
     claim = Claim("press to the board's confirmation in the crowd: worst", worst_s, _PROMISED_S,

@@ -230,14 +230,14 @@ def _pegs(
     """Pegs (count,) spread evenly over the part of the plane that the ideal body sweeps."""
     x, y, radius = np.empty((3, 0))
     while x.size < count:
-        many = 20 * count
-        r = rng.uniform(*_RADII_CM, many)
-        arc = rng.uniform(_NEAREST_CM, length, many)
-        bend = rng.uniform(*_TOUCH, many) * highest
+        draws = 20 * count
+        r = rng.uniform(*_RADII_CM, draws)
+        arc = rng.uniform(_NEAREST_CM, length, draws)
+        bend = rng.uniform(*_TOUCH, draws) * highest
         turn = arc * bend
         # The area that a step of the arc and one of the bend sweep.
         area = np.maximum(1.0 - (tube + r) * bend, 0.0) * (1.0 - np.cos(turn)) / bend**2
-        kept = rng.uniform(0.0, length**2, many) < area
+        kept = rng.uniform(0.0, length**2, draws) < area
         px = np.sin(turn) / bend - (tube + r) * np.sin(turn)
         py = (1.0 - np.cos(turn)) / bend + (tube + r) * np.cos(turn)
         kept &= py > tube + r + 0.3
@@ -287,12 +287,12 @@ class _Sensors:
         """(T, M) readings of curvatures (T, M), from a rest without a loop."""
         bent = np.where(clean < 0.0, self.against * clean, clean)
         turn, loop = np.zeros(len(self.gain)), np.empty_like(bent)
-        before = np.zeros(len(self.gain))
+        previous = np.zeros(len(self.gain))
         for row, value in enumerate(bent):
-            change = value - before
+            change = value - previous
             way = np.sign(change)
             turn = way + (turn - way) * np.exp(-np.abs(change) / self.loop_width)
-            loop[row], before = self.loop * turn, value
+            loop[row], previous = self.loop * turn, value
         return self.gain * bent - loop + self.zero + self.noise * rng.standard_normal(bent.shape)
 
 

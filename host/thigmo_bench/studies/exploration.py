@@ -290,8 +290,8 @@ def random_wall(seed: int) -> list[PegTable]:
             places += beside(-side)
         clear = robot.body.radius_cm + radius + 0.3
         pegs = [PegTable(x=x, y=y, radius=radius) for x, y in places if abs(y) > clear and x > 3.0]
-        few = 3 <= len(pegs) <= _MOST_DOWELS
-        if few and first_felt(robot, [Peg(p.x, p.y, p.radius) for p in pegs]) is not None:
+        countable = 3 <= len(pegs) <= _MOST_DOWELS
+        if countable and first_felt(robot, [Peg(p.x, p.y, p.radius) for p in pegs]) is not None:
             return pegs
 
 
@@ -480,7 +480,7 @@ _COUNTED = {
 }  # fmt: skip
 
 
-def pairs(before: Sequence[Record], after: Sequence[Record]) -> list[Record]:
+def pairs(old_rows: Sequence[Record], new_rows: Sequence[Record]) -> list[Record]:
     """Differences between two tables of runs, in the rooms that both explored.
 
     A row for each kind and setting: errors of the best contact in rooms where both have one, the
@@ -494,8 +494,8 @@ def pairs(before: Sequence[Record], after: Sequence[Record]) -> list[Record]:
         value = run[column]
         return nan if value is None else float(value)  # strict JSON has no NaN
 
-    earlier = {key(run): run for run in before}
-    pairs = [(earlier[key(run)], run) for run in after if key(run) in earlier]
+    earlier = {key(run): run for run in old_rows}
+    pairs = [(earlier[key(run)], run) for run in new_rows if key(run) in earlier]
     rows: list[Record] = []
     for kind, setting in dict.fromkeys((run["kind"], run["setting"]) for _, run in pairs):
         group = [pair for pair in pairs if (pair[1]["kind"], pair[1]["setting"]) == (kind, setting)]
@@ -609,7 +609,7 @@ def _claims(explored: list[Explored]) -> list[Claim]:
     held = per(60, walls, "contacts_localized") - per(60, walls, "contacts_wrong")
     stalled = [room for room in stalls if room.cause]
     one_peg, off = f"one peg, {len(pegs)} rooms", f"{_OFF_CM:g} cm"
-    empty, more = f"{STALLS}, {len(stalls)} rooms", f"{MORE}, {len(several)} rooms"
+    empty, several_pegs = f"{STALLS}, {len(stalls)} rooms", f"{MORE}, {len(several)} rooms"
     walled = f"{WALLS}, {len(walls)} rooms"
     # Of kinds that were not explored nothing is claimed.
     claims: list[Claim] = []
@@ -635,7 +635,11 @@ def _claims(explored: list[Explored]) -> list[Claim]:
         ]
     if several:
         claims += [
-            Claim(f"{more}: localized wrong, of 40 rooms", per(40, several, "contacts_wrong"), 2.0),
+            Claim(
+                f"{several_pegs}: localized wrong, of 40 rooms",
+                per(40, several, "contacts_wrong"),
+                2.0,
+            ),
             Claim(f"{MORE}: contacts missed by {off}", missed(several), 10.0, unit="%"),
         ]
     if of_kinds(TRUE):
@@ -728,7 +732,7 @@ def _dial_claims(rows: list[Record]) -> list[Claim]:
     ]
     longer = value("careful", "time_s") / value("thesis", "time_s")
     localized = 100 * value("100 s", "localized") / max(value("100 s", "contacts"), 1.0)
-    over = max(
+    longest = max(
         float(row["longest_s"]) / float(str(row["setting"]).split()[0])
         for row in rows
         if str(row["setting"])[0].isdigit()
@@ -739,7 +743,7 @@ def _dial_claims(rows: list[Record]) -> list[Claim]:
         Claim("one peg, default: robot time", value("default", "time_s"), 150.0, unit="s"),
         Claim("one peg, quick: robot time", value("quick", "time_s"), 120.0, unit="s"),
         Claim("one peg, 100 s: localized, of those felt", localized, 25.0, False, "%"),
-        Claim("budgets: longest run over its budget", over, 1.1),
+        Claim("budgets: longest run over its budget", longest, 1.1),
     ]
 
 
@@ -811,15 +815,15 @@ def _figure(explored: list[Explored]) -> Figure:
     first.fill_between([0.0, 53.0], -1.75, 1.75, color="0.85", label="straight robot")
     first.set(xlabel="x along the straight robot (cm)", ylabel="y (cm)", aspect="equal")
     rows = _by_kind(explored)
-    at = np.arange(len(rows))
+    places = np.arange(len(rows))
     for shift, (label, color, counted, total) in enumerate((
         ("contacts missed", RED, "touched_missed", "touched"),
         ("localized ones that are wrong", ORANGE, "contacts_wrong", "contacts_localized"),
         ("rooms with false contacts", "0.5", "with_false_contacts", "rooms"),
     )):  # fmt: skip
         shares = [100 * float(row[counted]) / max(float(row[total]), 1.0) for row in rows]
-        second.barh(at + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
-    second.set_yticks(at, [str(row["kind"]) for row in rows], fontsize=8)
+        second.barh(places + 0.25 * (shift - 1), shares, 0.25, color=color, label=label)
+    second.set_yticks(places, [str(row["kind"]) for row in rows], fontsize=8)
     second.invert_yaxis()
     second.set(xlabel="share (%)", xlim=(0, None))
     legend: dict[str, Any] = {"fontsize": 7, "ncols": 2, "frameon": False}

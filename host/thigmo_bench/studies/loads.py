@@ -338,8 +338,8 @@ def _claims(results: dict[str, list[FrameResult]]) -> list[Claim]:
     base = [[f for f in frames if f.stands_out >= STANDS_OUT] for frames in named("near the base")]
     usual = [f for body in ("straight", "bent")
              for f in results[f"near the base, {body}, odds {ODDS[0]:g}"]]  # fmt: skip
-    opposed, beside = named("two opposed"), named("two on one side")
-    explained = [f for frames in beside for f in frames if f.listed == 1 and f.fits]
+    opposed, aligned = named("two opposed"), named("two on one side")
+    explained = [f for frames in aligned for f in frames if f.listed == 1 and f.fits]
     two_answered = [[f for f in frames if f.listed == 2] for frames in opposed]
     rods = results["rod held at its end"]
     clear = [f for frames in named("kink") for f in frames if f.stands_out >= SEEN_KINK]
@@ -357,7 +357,7 @@ def _claims(results: dict[str, list[FrameResult]]) -> list[Claim]:
         Claim("two opposed, one answered: localized where neither is, most",
               worst(opposed, lambda f: f.wrong and f.listed == 1), 0.05),
         Claim("two on one side that one does not explain: localized where neither is, most",
-              worst(beside, lambda f: f.wrong and f.listed == 1 and not f.fits), 0.05),
+              worst(aligned, lambda f: f.wrong and f.listed == 1 and not f.fits), 0.05),
         at_least("two opposed, both answered: least coverage of an interval",
                  min(map(_coverage, two_answered)), 0.93),
         at_least("two on one side that one explains: others said not to be excluded",

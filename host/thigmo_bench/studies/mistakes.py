@@ -121,8 +121,8 @@ def grip(rng: np.random.Generator, free: Floats) -> Loads:
     force = rng.choice([-1.0, 1.0], end.shape) * rng.uniform(0.3, 2.0, end.shape) / LENGTH**2
     slant = rng.uniform(-np.pi / 3, np.pi / 3, end.shape)
     couple = rng.uniform(-1.0, 1.0, end.shape) / LENGTH
-    more = {"tangential": force * np.sin(slant), "couple": couple}
-    return Loads(end, force * np.cos(slant), end, more)
+    mistakes = {"tangential": force * np.sin(slant), "couple": couple}
+    return Loads(end, force * np.cos(slant), end, mistakes)
 
 
 def couple(rng: np.random.Generator, free: Floats) -> Loads:
@@ -398,8 +398,8 @@ def _claims(rows: list[Row]) -> list[Claim]:
             Claim(f"{name}: coverage, least", min(row["covered"] for row in kind_rows), 0.95, False)
         )
         for row in kind_rows:
-            before = stated[name, row["body"]]["localized"]
-            kept = row["localized"] / before if before else np.nan
+            all_stated = stated[name, row["body"]]["localized"]
+            kept = row["localized"] / all_stated if all_stated else np.nan
             least = 0.95 if row["sensors"] == 100 else 0.75
             text = f"{name}, {row['body']}: localized, over that with all errors stated"
             claims.append(Claim(text, kept, least, False))
@@ -431,12 +431,12 @@ def _figure(rows: list[Row]) -> Figure:
         1, 3, size=(3.4, 0.17 * len(groups) + 1.2), share=True,
         title="Users' mistakes: wrong answers and localized frames, each mistake stated and not",
     )  # fmt: skip
-    at = np.arange(len(groups))
-    for label, color, place in (("not stated", RED, at - 0.2), ("stated", BLUE, at + 0.2)):
+    places = np.arange(len(groups))
+    for label, color, place in (("not stated", RED, places - 0.2), ("stated", BLUE, places + 0.2)):
         bars = [lines[*group, label == "stated"] for group in groups]
         for axis, column in zip(axes, ("wrong_of_localized", "wrong", "localized"), strict=True):
             axis.barh(place, [100 * row[column] for row in bars], 0.4, color=color, label=label)
-    axes[0].set_yticks(at, [f"{kind}: {body}" for kind, body in groups], fontsize=5)
+    axes[0].set_yticks(places, [f"{kind}: {body}" for kind, body in groups], fontsize=5)
     axes[0].set_ylim(len(groups), -1)
     for axis, text in zip(
         axes, ("wrong (% of localized)", "wrong (% of all)", "localized (% of all)"), strict=True

@@ -129,10 +129,10 @@ class State:
     @classmethod
     def free(cls, rooms: int, obstacles: int) -> State:
         """Bodies that touch nothing."""
-        zeros, none = np.zeros((rooms, obstacles)), np.zeros((rooms, obstacles), dtype=bool)
+        zeros, untouched = np.zeros((rooms, obstacles)), np.zeros((rooms, obstacles), dtype=bool)
         return cls(
             place=zeros.copy(), push=zeros.copy(), drag=zeros.copy(), fold=np.zeros(rooms),
-            touching=none, sliding=zeros.copy(), folding=np.zeros(rooms),
+            touching=untouched, sliding=zeros.copy(), folding=np.zeros(rooms),
             failed=np.zeros(rooms, dtype=bool), moved=np.full_like(zeros, np.nan),
         )  # fmt: skip
 
@@ -209,12 +209,12 @@ class Sweeper:
 
         Changes `state` to the new equilibrium.
         """
-        before = state.copy()
+        previous = state.copy()
         stuck_again = np.zeros((self.rooms, self.count), dtype=int)
         released = np.zeros(self.rooms, dtype=int)
         for _ in range(SWITCHES):
             laid, met = self._newton(state, free)
-            switched = self._lets_go(state, before, met, released)
+            switched = self._lets_go(state, previous, met, released)
             switched |= self._switches_fold(state, laid, ~switched)
             switched |= self._switches_friction(state, laid, ~switched, stuck_again)
             switched |= self._touches(state, laid, ~switched)
@@ -226,7 +226,7 @@ class Sweeper:
         return laid
 
     def _lets_go(
-        self, state: State, before: State, met: Flags, released: npt.NDArray[np.intp]
+        self, state: State, previous: State, met: Flags, released: npt.NDArray[np.intp]
     ) -> Flags:
         """Release what pulls. Where Newton failed, the end has jumped: release that contact too.
 
@@ -240,7 +240,7 @@ class Sweeper:
         switched: Flags = np.asarray(pulls.any(axis=1))
         for room in np.flatnonzero(alive & ~met):
             touched = np.where(state.touching[room], state.place[room], -1.0)
-            touched = np.where(before.touching[room], before.place[room], touched)
+            touched = np.where(previous.touching[room], previous.place[room], touched)
             outermost = int(np.argmax(np.where(state.touching[room], touched, -1.0)))
             released[room] += 1
             near = touched[outermost] < SLIPS_OFF * self.mechanics.length
@@ -248,7 +248,7 @@ class Sweeper:
                 state.failed[room] = True
                 continue
             for name in ("place", "push", "drag", "sliding", "fold", "folding"):
-                getattr(state, name)[room] = getattr(before, name)[room]
+                getattr(state, name)[room] = getattr(previous, name)[room]
             state.touching[room, outermost] = False
             state.push[room, outermost] = state.drag[room, outermost] = 0.0
             switched[room] = True
@@ -345,8 +345,8 @@ class Sweeper:
         slides = (state.sliding * self.mechanics.friction[:, None])[rooms]
         friction = np.where(sticks, laid.moved - state.moved[rooms], drag - slides * push)
         folding = state.folding[rooms]
-        over = folding * laid.moment - self.mechanics.critical[rooms]
-        fold = np.where(folding != 0.0, self.mechanics.length**2 * over, z[:, -1])
+        excess = folding * laid.moment - self.mechanics.critical[rooms]
+        fold = np.where(folding != 0.0, self.mechanics.length**2 * excess, z[:, -1])
         return np.column_stack([along, across, friction, fold])
 
     def _lay(self, z: Floats, state: State, free: Floats, rooms: npt.NDArray[np.intp]) -> _Laid:
@@ -392,11 +392,11 @@ class Sweeper:
 
         x, y = in_room(x - base_x, y - base_y)
         bump = rounding + radius
-        beside = turned(bump * away[0], corner + bump * away[1])
+        to_centre = turned(bump * away[0], corner + bump * away[1])
         force = turned(along, across)
         centre = [
             where + out + pegs.compliance * pushed
-            for where, out, pushed in zip((x, y), beside, force, strict=True)
+            for where, out, pushed in zip((x, y), to_centre, force, strict=True)
         ]
         out, go = turned(*away), turned(*onward)
         is_wall = np.isfinite(pegs.angle)
@@ -444,8 +444,8 @@ class Sweeper:
         place = np.take_along_axis(arcs[:, None, :-1] + t, nearest, 2)[..., 0]
         dx, dy = pegs.x - x[:, -1:], pegs.y - y[:, -1:]
         ahead, left_of = dx * cosine + dy * sine, dy * cosine - dx * sine
-        over = np.maximum(np.abs(left_of) - flat, 0.0)
-        end = np.hypot(ahead, over) - bump
+        outside = np.maximum(np.abs(left_of) - flat, 0.0)
+        end = np.hypot(ahead, outside) - bump
         angle = np.arctan2(ahead, np.maximum(np.abs(left_of) - flat, 1e-12))
         face = quarter + flat - np.clip(left_of, -flat, flat)
         round_left = np.where(left_of > flat, bump * angle, face)
@@ -462,15 +462,15 @@ class Sweeper:
         )  # fmt: skip
         nearest = np.argmin(off, axis=2)[..., None]
         # Where the last section is the nearest one, the end's corners touch.
-        beside = np.take_along_axis(off, nearest, 2)[..., 0] - body.radius - pegs.radius
-        beside = np.where(nearest[..., 0] == POINTS, np.inf, beside)
+        clearance = np.take_along_axis(off, nearest, 2)[..., 0] - body.radius - pegs.radius
+        clearance = np.where(nearest[..., 0] == POINTS, np.inf, clearance)
         where = np.take_along_axis(np.broadcast_to(arcs[:, None], off.shape), nearest, 2)[..., 0]
         out_along, out_across = nx * cosine + ny * sine, ny * cosine - nx * sine
         corner_off = off[..., -1] - np.abs(out_across) * flat - bump
         turn = np.arctan2(out_along, out_across)
-        corners = (out_along > 0.0) & (corner_off < beside)
+        corners = (out_along > 0.0) & (corner_off < clearance)
         far = np.where(out_across < 0.0, 2.0 * flat, 0.0)
-        wall_gap = np.where(corners, corner_off, beside)
+        wall_gap = np.where(corners, corner_off, clearance)
         wall_place = np.where(corners, side + far + bump * turn, where)
         is_wall = np.isfinite(pegs.angle)
         gap, place = np.where(is_wall, wall_gap, gap), np.where(is_wall, wall_place, place)

@@ -61,8 +61,8 @@ class Bodies:
         low = np.clip(np.broadcast_to(position, (bodies, len(position))) - half, 0.0, length)
         high = np.clip(position + half, 0.0, length)
         kinks = self.breaks[:, None, 1:-1]
-        under = (kinks > low[:, :, None]) & (kinks < high[:, :, None])
-        kinked = (under * self.kink[:, None, :]).sum(axis=2)
+        covered = (kinks > low[:, :, None]) & (kinks < high[:, :, None])
+        kinked = (covered * self.kink[:, None, :]).sum(axis=2)
         mean: Floats = (self.turn(high) - self.turn(low) + kinked) / (high - low)
         return mean
 

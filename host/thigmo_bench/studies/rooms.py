@@ -72,9 +72,9 @@ def explored(
         return ExplorationResult(document, folder.path)
 
 
-def explored_scene(scene: Scene, seed: int, **how: Any) -> RunDocument:
+def explored_scene(scene: Scene, seed: int, **options: Any) -> RunDocument:
     """Explore a scene as `explored` does, with its options; only the run's document is kept."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "room.toml"
         scene.save(file)
-        return explored(f"emulator://{file}", folder, seed, **how).document
+        return explored(f"emulator://{file}", folder, seed, **options).document

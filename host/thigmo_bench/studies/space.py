@@ -68,8 +68,8 @@ def _rods(group: str, rng: np.random.Generator, count: int) -> tuple[RodsInSpace
     force = np.stack([0.0 * size, size * np.cos(around), size * np.sin(around)], axis=2)
     weight = rng.standard_normal((count, 3)) if group == "weight" else None
     if group in ENDS:
-        about = [0.0 if group == "end" else 1.0, 1.0, 1.0]
-        couple = 0.7 * rng.standard_normal((count, 1, 3)) * about
+        axes = [0.0 if group == "end" else 1.0, 1.0, 1.0]
+        couple = 0.7 * rng.standard_normal((count, 1, 3)) * axes
         force = rng.standard_normal((count, 1, 3))
         force_across = np.linalg.norm(force[:, 0, 1:], axis=1)
         rods = solve(np.ones((count, 1)), force, couple=couple, twist=TWIST)

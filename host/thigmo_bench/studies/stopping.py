@@ -75,10 +75,10 @@ class ServedRobot(serve.ServedRobot):
         """
         if self.off:
             raise DataError("the robot was off before it was stopped", "see `thigmo watch`")
-        until, pressed_s = time.monotonic() + _EVER_S, self.lockstep.t_s
+        end_s, pressed_s = time.monotonic() + _EVER_S, self.lockstep.t_s
         press()
         while self.lockstep.t_s - max(self.live_s, pressed_s) < _LASTS_S:
-            if time.monotonic() > until:
+            if time.monotonic() > end_s:
                 raise DataError("the robot was not stopped", "see `thigmo watch`")
             time.sleep(STEP_S)
         return 1e3 * (self.live_s + STEP_S - pressed_s)
@@ -142,9 +142,9 @@ def _ros(start: Start) -> Iterator[Press]:
     with running(start, "ros", "--namespace", name, says="ROS topics"):
         _domain, participant = Domain(0, configuration(None)), DomainParticipant(0)
         writer = DataWriter(participant, Topic(participant, f"rt/{name}/stop", Empty))
-        until = time.monotonic() + _EVER_S
+        end_s = time.monotonic() + _EVER_S
         while not writer.get_matched_subscriptions():
-            if time.monotonic() > until:
+            if time.monotonic() > end_s:
                 raise DataError(
                     "`thigmo ros` does not subscribe to the stop topic", "run it by hand to see why"
                 )
@@ -178,10 +178,12 @@ _HEARTLESS = ("kill -9, all", "cable")  # nobody remains to tell the board
 def run(context: Context) -> Outcome:
     """Median and worst time from the press until outputs are off, for each way."""
     rows: list[dict[str, str | int | float]] = []
-    for method, (how, _) in WAYS.items():
+    for method, (description, _) in WAYS.items():
         times = stopped_ms(method, context.count(2, 10), partial(context.progress, method))
         p50, worst = float(np.median(times)), max(times)
-        rows.append({"who": method, "how": how, "n": len(times), "p50_ms": p50, "worst_ms": worst})
+        rows.append(
+            {"who": method, "how": description, "n": len(times), "p50_ms": p50, "worst_ms": worst}
+        )
         context.save(Outcome({"rows": rows}))
     worst = max(float(row["worst_ms"]) for row in rows if row["who"] in _HEARTLESS)
     limit = _SILENT_MS + 2e3 * STEP_S  # steps at either end

@@ -249,10 +249,10 @@ def record(
 def _crossing_ms(half: Half, excess: Floats, threshold: float) -> float:
     """When the true contact curvature of a half first passes the threshold (ms), or NaN."""
     first, last = half.start_ms // STEP_MS, half.vent_ms // STEP_MS
-    over = np.flatnonzero(excess[first : last + 1] >= threshold)
-    if not len(over) or over[0] == 0:
+    detected = np.flatnonzero(excess[first : last + 1] >= threshold)
+    if not len(detected) or detected[0] == 0:
         return np.nan
-    index = first + int(over[0])
+    index = first + int(detected[0])
     part = (threshold - excess[index - 1]) / (excess[index] - excess[index - 1])
     return float(index - 1 + part) * STEP_MS
 

@@ -90,7 +90,7 @@ class FuzzedBoard {
   void receive(uint8_t byte) { rx_[rx_in_++] = byte; }
   bool waits() const { return rx_out_ != rx_in_; }
   bool off() const { return duty_[0] < 0 && duty_[1] < 0 && motor_ == 0; }
-  bool both() const { return duty_[0] > 0 && duty_[1] > 0; }
+  bool both_valves_drive() const { return duty_[0] > 0 && duty_[1] > 0; }
 
   uint32_t tick = 0;
   bool ready = false;
@@ -142,7 +142,7 @@ struct Rig {
     const thigmo::State state = robot.controller().state();
     const bool may = state == thigmo::State::kReady || state == thigmo::State::kMoving;
     require(may || board.off());
-    require(!board.both());
+    require(!board.both_valves_drive());
     const thigmo::StopLatch now = robot.controller().latches().stop;
     if (stop.latched && !now.latched) require(clearing && cleared == stop.nonce);
     if (now.latched) require(state == thigmo::State::kFault && board.off());
@@ -222,17 +222,17 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   uint32_t nonce = 2;
   uint16_t flex = 600, pressure[2] = {102, 102};
   while (!in.empty()) {
-    const uint8_t what = in.byte();
-    switch (what >> 5) {
+    const uint8_t choice = in.byte();
+    switch (choice >> 5) {
       case 0: {  // raw bytes
-        for (uint8_t n = what & 31; n != 0; --n) rig->board.receive(in.byte());
+        for (uint8_t n = choice & 31; n != 0; --n) rig->board.receive(in.byte());
         rig->pass();
         break;
       }
       case 1:
       case 2: {  // a command with a good header; its payload cut or padded now and then
         uint8_t payload[protocol::kMaxPayload];
-        const uint8_t id = static_cast<uint8_t>(what & 63 & ~32);
+        const uint8_t id = static_cast<uint8_t>(choice & 63 & ~32);
         const uint8_t count = in.byte() % (protocol::kMaxPayload + 1);
         for (uint8_t i = 0; i < count; ++i) payload[i] = in.byte();
         rig->send(id, rig->board.session, ++rig->seq, payload, count);
@@ -240,33 +240,33 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
       }
       case 3: {  // a repeat, a stale one, another session
         uint8_t payload[1] = {in.byte()};
-        rig->send(in.byte(), static_cast<uint16_t>(rig->board.session + (what & 3)),
-                  static_cast<uint16_t>(rig->seq - (what >> 2 & 3)), payload, what >> 4 & 1);
+        rig->send(in.byte(), static_cast<uint16_t>(rig->board.session + (choice & 3)),
+                  static_cast<uint16_t>(rig->seq - (choice >> 2 & 3)), payload, choice >> 4 & 1);
         break;
       }
       case 4:  // time
-        for (int n = (what & 31) * 4 + 1; n != 0; --n) rig->tick(flex, pressure[0], pressure[1]);
+        for (int n = (choice & 31) * 4 + 1; n != 0; --n) rig->tick(flex, pressure[0], pressure[1]);
         break;
       case 5:  // other readings
         flex = static_cast<uint16_t>(in.word() & 1023);
-        pressure[what & 1] = static_cast<uint16_t>(in.word() & 1023);
+        pressure[choice & 1] = static_cast<uint16_t>(in.word() & 1023);
         break;
       case 6:
         rig->board.encoder += static_cast<int16_t>(in.word());
-        rig->board.supply = (what & 1) != 0 ? 5000 : in.word();
-        rig->board.pressed = (what & 2) != 0;
-        rig->board.overruns = static_cast<uint16_t>(rig->board.overruns + (what >> 2 & 1));
+        rig->board.supply = (choice & 1) != 0 ? 5000 : in.word();
+        rig->board.pressed = (choice & 2) != 0;
+        rig->board.overruns = static_cast<uint16_t>(rig->board.overruns + (choice >> 2 & 1));
         break;
       default:
-        if ((what & 8) != 0) {
-          rig->stop_it(what & 3, in.word(), in.word());
+        if ((choice & 8) != 0) {
+          rig->stop_it(choice & 3, in.word(), in.word());
           break;
         }
-        if ((what & 16) != 0) {
-          rig->clear_it(what & 3);
+        if ((choice & 16) != 0) {
+          rig->clear_it(choice & 3);
           break;
         }
-        rig->hello((what & 1) != 0 ? nonce++ : 1);
+        rig->hello((choice & 1) != 0 ? nonce++ : 1);
         break;
     }
   }

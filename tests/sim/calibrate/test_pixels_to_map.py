@@ -71,20 +71,20 @@ def test_from_pixels_to_the_map(tmp_path):
     config = session.config
 
     pairs = [
-        (mine, true)
+        (fitted, true)
         for side in SIDES
-        for mine, true in zip(config.column(side), truth.column(side), strict=True)
+        for fitted, true in zip(config.column(side), truth.column(side), strict=True)
     ]
-    errors = np.array([mine.scale_per_ohm / true.scale_per_ohm - 1 for mine, true in pairs])
-    stated = np.array([mine.scale_se for mine, _ in pairs])
+    errors = np.array([fitted.scale_per_ohm / true.scale_per_ohm - 1 for fitted, true in pairs])
+    stated = np.array([fitted.scale_se for fitted, _ in pairs])
     assert np.abs(errors).max() < 0.02
     assert np.mean((errors / stated) ** 2) < 3.0
-    assert [mine.bend_sign for mine, _ in pairs] == [t.bend_sign for _, t in pairs]
+    assert [fitted.bend_sign for fitted, _ in pairs] == [t.bend_sign for _, t in pairs]
     for side in SIDES:
-        for mine, true in zip(config.muscle(side).maps, truth.muscle(side).maps, strict=True):
+        for fitted, true in zip(config.muscle(side).maps, truth.muscle(side).maps, strict=True):
             full = true.inflate.curvature(18.0)
             for branch in ("inflate", "deflate"):
-                curve, right = getattr(mine, branch), getattr(true, branch)
+                curve, right = getattr(fitted, branch), getattr(true, branch)
                 gap = [curve.curvature(p) - right.curvature(p) for p in np.arange(0.0, 18.1)]
                 assert np.abs(gap).max() < 0.006 * full
     assert config.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
@@ -97,8 +97,8 @@ def test_from_pixels_to_the_map(tmp_path):
     with thigmo.connect(room, seed=4) as robot:
         source, _ = robot.overhead_pictures(sheet, seed=8)
         # The operator has measured the dowels' thickness, not their places.
-        seen = OverheadCamera(source, camera, sheet, dowel_radius_cm=0.6).detection().obstacles
-    where = seen[0]
+        obstacles = OverheadCamera(source, camera, sheet, dowel_radius_cm=0.6).detection().obstacles
+    where = obstacles[0]
     assert (where.x_cm, where.y_cm) == pytest.approx((peg.x, peg.y), abs=0.3)
 
     explored = thigmo.explore(room, config=config, seed=4, out=tmp_path)

@@ -125,10 +125,10 @@ def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
         fallen = tip_decal(SHEET, room.x + dx, room.y + dy, 3.5)
         view = View(BodyShape(room.x, room.y), room.pegs, [*card_decals(SHEET), fallen])
         picture = render(room.camera, view, Look(), np.random.default_rng(5))
-        seen = detect(picture, model, SHEET, DetectionRequest(constant=True))
-        assert seen.tip is None
-        assert seen.axis is None
-        (problem,) = seen.problems
+        detection = detect(picture, model, SHEET, DetectionRequest(constant=True))
+        assert detection.tip is None
+        assert detection.axis is None
+        (problem,) = detection.problems
         assert isinstance(problem, MarkerAstrayError)
         away_cm = float(re.search(r"lies ([\d.]+) cm", str(problem))[1])
         assert away_cm == pytest.approx(np.hypot(dx, dy), abs=1.0)
@@ -136,23 +136,27 @@ def test_marker_that_fell_off_the_tip_is_not_taken_for_it(room, model):
 
 
 def test_tip_axis_and_dowels_of_one_room(room, picture, model):
-    seen = detect(picture, model, SHEET, DetectionRequest(constant=True))
-    assert seen.problems == ()
-    assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
-    assert seen.axis.coefficients[2] == pytest.approx(0.02, abs=1e-4)
+    detection = detect(picture, model, SHEET, DetectionRequest(constant=True))
+    assert detection.problems == ()
+    assert (detection.tip.x_cm, detection.tip.y_cm) == pytest.approx(
+        (room.x[-1], room.y[-1]), abs=0.1
+    )
+    assert detection.axis.coefficients[2] == pytest.approx(0.02, abs=1e-4)
     for peg in room.pegs:
-        nearest = min(seen.obstacles, key=lambda o: np.hypot(o.x_cm - peg.x_cm, o.y_cm - peg.y_cm))
+        nearest = min(
+            detection.obstacles, key=lambda o: np.hypot(o.x_cm - peg.x_cm, o.y_cm - peg.y_cm)
+        )
         assert (nearest.x_cm, nearest.y_cm) == pytest.approx((peg.x_cm, peg.y_cm), abs=0.15)
         assert nearest.radius_cm == pytest.approx(peg.radius_cm, abs=0.15)
 
 
 def test_what_is_seen_is_drawn(picture, model):
     wanted = DetectionRequest()
-    seen = detect(picture, model, SHEET, wanted)
-    drawn = draw(picture, model, SHEET, seen, wanted)
+    detection = detect(picture, model, SHEET, wanted)
+    drawn = draw(picture, model, SHEET, detection, wanted)
     changed = (np.abs(drawn.astype(int) - picture).max(axis=2) > 40).mean()
     assert 0.005 < changed < 0.1
-    axis = model.project(np.array([[seen.axis.x_cm[200], seen.axis.y_cm[200], 1.75]]))[0]
+    axis = model.project(np.array([[detection.axis.x_cm[200], detection.axis.y_cm[200], 1.75]]))[0]
     column, row = np.round(axis).astype(int)
     patch = drawn[row - 2 : row + 3, column - 2 : column + 3].reshape(-1, 3)
     assert (np.abs(patch.astype(int) - [255, 255, 0]).max(axis=1) < 60).any()
@@ -160,17 +164,17 @@ def test_what_is_seen_is_drawn(picture, model):
 
 def test_missing_tip_marker_is_a_problem_with_a_way_out(room, model):
     bare = room.picture(tip=False)
-    seen = detect(bare, model, SHEET)
-    assert isinstance(seen.problems[0], MarkerMissingError)
-    assert str(seen.problems[0]).endswith("turn it face up and clear the view")
+    detection = detect(bare, model, SHEET)
+    assert isinstance(detection.problems[0], MarkerMissingError)
+    assert str(detection.problems[0]).endswith("turn it face up and clear the view")
     # The body's own end is found without any marker.
-    assert seen.axis.tip_cm == pytest.approx((room.x[-1], room.y[-1]), abs=0.3)
+    assert detection.axis.tip_cm == pytest.approx((room.x[-1], room.y[-1]), abs=0.3)
 
 
 def test_no_robot_is_said(room, model):
-    seen = detect(room.picture(tip=False, body=False), model, SHEET)
-    assert seen.axis is None
-    assert any(isinstance(p, BodyNotSeenError) for p in seen.problems)
+    detection = detect(room.picture(tip=False, body=False), model, SHEET)
+    assert detection.axis is None
+    assert any(isinstance(p, BodyNotSeenError) for p in detection.problems)
 
 
 def test_body_of_the_tables_colour_needs_a_background_picture(room, model):
@@ -215,8 +219,10 @@ def test_a_picture_of_too_few_pixels_is_refused_with_the_number_needed(picture):
         small = cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
         model = locate(small, SHEET)
         if fine:
-            seen = detect(small, model, SHEET, DetectionRequest(constant=True, obstacles=False))
-            assert seen.problems == ()
+            detection = detect(
+                small, model, SHEET, DetectionRequest(constant=True, obstacles=False)
+            )
+            assert detection.problems == ()
             continue
         with pytest.raises(TooCoarseError, match=r"4\.6 px per cm, and a tip .* needs 5\.0; "):
             detect(small, model, SHEET)
@@ -245,10 +251,10 @@ def test_a_kinked_body_is_doubted(room, model, turn):
     picture = render(
         room.camera, View(kinked, (), card_decals(SHEET)), Look(), np.random.default_rng(5)
     )
-    seen = detect(
+    detection = detect(
         picture, model, SHEET, DetectionRequest(constant=True, tip=False, obstacles=False)
     )
-    assert any(isinstance(problem, AxisDoubtfulError) for problem in seen.problems)
+    assert any(isinstance(problem, AxisDoubtfulError) for problem in detection.problems)
 
 
 def test_an_axis_whose_flanks_are_hidden_is_doubted(room, model):
@@ -259,20 +265,24 @@ def test_an_axis_whose_flanks_are_hidden_is_doubted(room, model):
     picture = render(
         room.camera, View(straight, heap, card_decals(SHEET)), Look(), np.random.default_rng(5)
     )
-    seen = detect(
+    detection = detect(
         picture, model, SHEET, DetectionRequest(constant=True, tip=False, obstacles=False)
     )
-    assert seen.axis is None or any(isinstance(p, AxisDoubtfulError) for p in seen.problems)
+    assert detection.axis is None or any(
+        isinstance(p, AxisDoubtfulError) for p in detection.problems
+    )
 
 
 @pytest.mark.parametrize("name", ["DICT_6X6_250", "DICT_APRILTAG_36h11"])
 def test_markers_may_be_of_any_dictionary(room, name):
-    other = SHEET.model_copy(update={"dictionary": name})
-    patches = [*card_decals(other), tip_decal(other, room.x, room.y, 3.5)]
+    sheet = SHEET.model_copy(update={"dictionary": name})
+    patches = [*card_decals(sheet), tip_decal(sheet, room.x, room.y, 3.5)]
     view = View(BodyShape(room.x, room.y), (), patches)
     picture = render(room.camera, view, Look(), np.random.default_rng(5))
-    seen = detect(picture, locate(picture, other), other, DetectionRequest(constant=True))
-    assert (seen.tip.x_cm, seen.tip.y_cm) == pytest.approx((room.x[-1], room.y[-1]), abs=0.1)
+    detection = detect(picture, locate(picture, sheet), sheet, DetectionRequest(constant=True))
+    assert (detection.tip.x_cm, detection.tip.y_cm) == pytest.approx(
+        (room.x[-1], room.y[-1]), abs=0.1
+    )
     said = "DICT_6X6_1000" if "6X6" in name else name
     with pytest.raises(SheetHiddenError, match=f'write dictionary = "{said}"'):
         locate(picture, SHEET)

@@ -103,22 +103,22 @@ def test_a_change_that_a_crc_16_does_not_see_starts_nothing(at: int, board: Uplo
 
 @pytest.mark.parametrize("cuts", ["some", pytest.param("all", marks=pytest.mark.ci)])
 @pytest.mark.parametrize(
-    ("way", "other"),
-    [("over", other) for other in UNDER]
-    + [("under", other) for other in UNDER if other != "blank"],
+    ("way", "image"),
+    [("over", image) for image in UNDER]
+    + [("under", image) for image in UNDER if image != "blank"],
 )
 def test_thigmo_flash_that_is_cut_starts_nothing(
-    other: str, way: str, cuts: str, board: UploadedBoard
+    image: str, way: str, cuts: str, board: UploadedBoard
 ) -> None:
     """Today's image over another one, and another one over today's."""
-    old, new = (blocks(other), today()) if way == "over" else (today(), blocks(other))
+    old, new = (blocks(image), today()) if way == "over" else (today(), blocks(image))
     first, last = map(pages, in_safe_order(new))
     chosen = [*some(len(first)), len(first)] if cuts == "some" else ()
     for written, state, flash in mixtures(pages(old), first, last, cuts=chosen):
         outcome = board.outcome_of(flash)
         if state == "whole" and written in (0, len(first) + 1):
             assert outcome == ("starts" if flash else "stays")
-        elif other in PAST and written == (0 if way == "over" else len(first)):
+        elif image in PAST and written == (0 if way == "over" else len(first)):
             # Its page 1 holds no guard to run into while page 0 is erased, for 4 ms.
             assert outcome != "energises", (written, state)
         else:

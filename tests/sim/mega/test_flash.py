@@ -100,14 +100,14 @@ def test_a_board_without_boot_loader_is_told_apart(image: Path) -> None:
 def test_an_image_of_another_schema_is_refused_before_anything_is_written(
     image: Path, tmp_path: Path
 ) -> None:
-    other = wire.SCHEMA_HASH ^ 1
+    schema_hash = wire.SCHEMA_HASH ^ 1
     wrong = patched(
         image,
         tmp_path / "other.hex",
         MAGIC + wire.SCHEMA_HASH.to_bytes(4, "little"),
-        MAGIC + other.to_bytes(4, "little"),
+        MAGIC + schema_hash.to_bytes(4, "little"),
     )
-    with pytest.raises(SchemaMismatchError, match=f"{other:08x}.*{wire.SCHEMA_HASH:08x}"):
+    with pytest.raises(SchemaMismatchError, match=f"{schema_hash:08x}.*{wire.SCHEMA_HASH:08x}"):
         flasher.flash("/dev/nonexistent", wrong)
 
 

@@ -35,13 +35,15 @@ def test_arithmetic_is_identical_on_the_mega() -> None:
     native = ["c++", "-std=c++14", "-O1", *sanitize, *WARN]
     program = compiled("identity", native, [SOURCE, CORE])
     image = compiled("identity-avr", ["avr-g++", *AVR, *WARN], [SOURCE, CORE])
-    here = _parts(subprocess.run([program], capture_output=True, text=True, check=True).stdout)
+    host_parts = _parts(
+        subprocess.run([program], capture_output=True, text=True, check=True).stdout
+    )
     simulated = subprocess.run(
         ["simavr", "-m", "atmega2560", "-f", "16000000", image],
         capture_output=True,
         text=True,
         check=False,
     )
-    there = _parts(simulated.stdout + simulated.stderr)
-    assert set(here) == {"arithmetic", "constants", "pressure", "spool", "sensing"}
-    assert there == here
+    chip_parts = _parts(simulated.stdout + simulated.stderr)
+    assert set(host_parts) == {"arithmetic", "constants", "pressure", "spool", "sensing"}
+    assert chip_parts == host_parts

@@ -79,21 +79,21 @@ def test_pwm_stops_before_the_direction_changes(full_length: Scene, stored_confi
     rig = open_rig(full_length, stored_config)
     rig.prepare()
     mega, chip = rig.board, rig.board.chip
-    seen: list[tuple[int, bool]] = []
+    samples: list[tuple[int, bool]] = []
     run = chip.run
 
     def finely(cycle: int) -> bool:
         while chip.cycle < cycle:
             run(min(chip.cycle + 160, cycle))  # 10 us
-            seen.append((mega.direction, chip.pwm(4).connected[0]))
+            samples.append((mega.direction, chip.pwm(4).connected[0]))
         return True
 
     chip.run = finely  # type: ignore[method-assign]
     rig.robot.grow_to(52.0)
     rig.robot.retract_to(51.7)
-    directions = [d for d, _ in seen]
+    directions = [d for d, _ in samples]
     assert {1, -1} <= set(directions)
-    for before, after in pairwise(seen):
+    for before, after in pairwise(samples):
         if before[0] != after[0]:
             assert not before[1], "the motor was driven when DIR changed"
 

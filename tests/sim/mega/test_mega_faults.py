@@ -86,7 +86,7 @@ def test_a_power_cut_at_any_byte_of_a_save_leaves_the_old_or_the_new_whole(
     assert len(contents) > 100
     assert stored(contents[-1]) == (generation + 1, old + 1, True)
     rng = random.Random(1)
-    seen = set()
+    results = set()
     steps = list(pairwise(contents))
     for before, after in rng.sample(steps, min(many(30), len(steps))):
         (address,) = np.flatnonzero(np.frombuffer(before, "u1") != np.frombuffer(after, "u1"))
@@ -100,8 +100,8 @@ def test_a_power_cut_at_any_byte_of_a_save_leaves_the_old_or_the_new_whole(
             assert not result[2]
             continue
         assert result in {(generation, old, True), (generation + 1, old + 1, True)}, address
-        seen.add(result)
-    assert len(seen) >= 1
+        results.add(result)
+    assert len(results) >= 1
 
 
 def cut_in_a_save(eeprom: bytes, byte: int) -> bytes:

@@ -37,8 +37,8 @@ def test_the_image_reports_the_contacts_of_the_virtual_board_at_its_times(
     mega.run_to_tick()
     mega.step(1)
     script = with_setting(stepped.script, setting)
-    here = converse(mega, script, stepped.end_ms, lambda now: mega.step(STEP_MS))
-    there = replay(stepped, setting)
-    assert len(here) >= 2
-    assert here.tolist() == there.tolist()
-    assert all(0 < ms < 30 for ms in latencies(stepped, here))
+    on_mega = converse(mega, script, stepped.end_ms, lambda now: mega.step(STEP_MS))
+    on_virtual = replay(stepped, setting)
+    assert len(on_mega) >= 2
+    assert on_mega.tolist() == on_virtual.tolist()
+    assert all(0 < ms < 30 for ms in latencies(stepped, on_mega))

@@ -313,8 +313,8 @@ def test_a_string_on_the_bus_explores_as_on_the_virtual_board(tmp_path: Path) ->
     )
     assert bus.outcome == virtual.outcome == "full length"
     assert len(bus.contacts) == len(virtual.contacts)
-    for contact, other in zip(bus.contacts, virtual.contacts, strict=True):
-        assert contact.arc_cm == pytest.approx(other.arc_cm, abs=3.0)
+    for contact, virtual_contact in zip(bus.contacts, virtual.contacts, strict=True):
+        assert contact.arc_cm == pytest.approx(virtual_contact.arc_cm, abs=3.0)
 
 
 def test_parameters_of_imus_are_shown_and_set_by_name(scene_path: Path, thigmo: Thigmo) -> None:

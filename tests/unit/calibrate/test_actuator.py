@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +22,7 @@ from thigmo.config import SIDES, FlexSensor, Muscle, MuscleMap, RobotConfig, Tan
 from thigmo.errors import DataError
 from thigmo.record.table import Table, write_table
 from thigmo.wiring import Wiring
+from thigmo_bench.studies.gallery import gallery_robot
 
 pytestmark = pytest.mark.sim  # sensors are simulated by the hundred
 
@@ -40,9 +40,6 @@ def test_both_branches_within_half_a_percent_without_trial_offsets(side):
         assert result.verdict.good, result.verdict
         assert worst(result.muscle_map.inflate, INFLATE) < 0.005 * result.full_scale
         assert worst(result.muscle_map.deflate, DEFLATE) < 0.005 * result.full_scale
-
-
-CATHETER = Path(__file__).resolve().parents[3] / "docs" / "robots" / "catheter.toml"
 
 
 def test_errors_of_g_agree_with_the_stated_ones():
@@ -154,8 +151,8 @@ def test_lags_of_both_directions_are_found_beside_loop_and_pressure_error(
         g += (1 - share) * [INFLATE.curvature(v) for v in felt]
         turn = loop_turns(g[:, None], np.zeros(len(g), np.int64))[:, 0]
         k = 1.1 * g - loop * turn + 0.001 + rng.normal(0, 3e-4, len(t))
-        seen = p + pressure_error + rng.normal(0, 0.03, len(t))
-        lag = fit_lag(t, seen, k, muscle_map)
+        measured_psi = p + pressure_error + rng.normal(0, 0.03, len(t))
+        lag = fit_lag(t, measured_psi, k, muscle_map)
         assert lag.inflate_s == pytest.approx(0.033 + 0.16 + swing_s, rel=0.03)
         assert lag.deflate_s == pytest.approx(0.033 + 0.22 + swing_s, rel=0.03)
         assert max(lag.inflate_se_s, lag.deflate_se_s) < 0.01
@@ -181,7 +178,7 @@ def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
 
 
 def test_a_map_of_a_body_without_pressure_is_put_in():
-    robot = RobotConfig.load(CATHETER)
+    robot = gallery_robot("catheter")
     assert [zone.pressure_psi for zone in robot.body.zones] == [0.0]
     unpressed = fit_actuator(replace(bends(6), body_pressure_psi=0.0))
     assert unpressed.apply(robot).muscle("left").maps == [unpressed.muscle_map]

@@ -170,11 +170,11 @@ def test_a_bend_within_the_camera_s_error_is_on_no_side():
     readings = lab.flex()
     row = readings.kind.index("bend")
     for off, omitted in ((3e-4, False), (1e-5, True)):
-        seen, error = readings.curvature.copy(), readings.curvature_se.copy()
+        curvature, error = readings.curvature.copy(), readings.curvature_se.copy()
         ohm = readings.ohm.copy()
-        seen[row], error[row], ohm[row] = 6e-4, off, lab.ohm(np.full(10, -6e-4))
+        curvature[row], error[row], ohm[row] = 6e-4, off, lab.ohm(np.full(10, -6e-4))
         result = fit_flex(
-            replace(readings, curvature=seen, curvature_se=error, ohm=ohm), lab.config
+            replace(readings, curvature=curvature, curvature_se=error, ohm=ohm), lab.config
         )
         assert any("the sensors say" in note for note in result.verdict.notes) == omitted
 
@@ -182,10 +182,10 @@ def test_a_bend_within_the_camera_s_error_is_on_no_side():
 def test_a_camera_whose_sides_are_exchanged_is_detected():
     lab = Lab(7)
     readings = lab.flex(bends=24)
-    seen = replace(
+    mirrored = replace(
         readings, tip_cm=readings.tip_cm * np.array([1, -1]), curvature=-readings.curvature
     )
-    verdict = fit_flex(seen, lab.config).verdict
+    verdict = fit_flex(mirrored, lab.config).verdict
     assert not verdict.good
     assert "+y is not the robot's left" in verdict.reason
 

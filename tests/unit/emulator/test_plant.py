@@ -366,11 +366,11 @@ def test_truth_is_the_room_and_how_the_body_lies_in_it() -> None:
 def test_same_seed_same_levels_and_another_seed_others() -> None:
     def levels(seed: int) -> list[bytes]:
         plant = Plant(Scene.load("default"), seed=seed)
-        seen = []
+        snapshots = []
         for _ in range(40):
             run(plant, 0.25, motor=250)
-            seen.append(plant.analog.tobytes())
-        return seen
+            snapshots.append(plant.analog.tobytes())
+        return snapshots
 
     assert levels(3) == levels(3)
     assert levels(3) != levels(4)

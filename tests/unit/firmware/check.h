@@ -31,9 +31,9 @@ struct Register {
   static const Register name##_(#name, name); \
   static void name()
 
-inline void fail(const char* file, int line, const char* what, double got, double want) {
+inline void fail(const char* file, int line, const char* expression, double got, double want) {
   if (++failures() <= 10) {
-    std::printf("%s:%d: %s: got %.9g, want %.9g\n", file, line, what, got, want);
+    std::printf("%s:%d: %s: got %.9g, want %.9g\n", file, line, expression, got, want);
   }
 }
 

@@ -453,9 +453,9 @@ TEST(a_dead_encoder_costs_less_than_two_centimetres_of_growth) {
       CHECK(spool.step(motor.read(), s.c, s.d) == SpoolLoop::Outcome::kMoving);
       motor.step(spool.duty());
     }
-    const int32_t seen = motor.read();
-    while (spool.step(seen, s.c, s.d) == SpoolLoop::Outcome::kMoving) motor.step(spool.duty());
-    CHECK(motor.read() - seen < s.d.counts(15000));
+    const int32_t place = motor.read();
+    while (spool.step(place, s.c, s.d) == SpoolLoop::Outcome::kMoving) motor.step(spool.duty());
+    CHECK(motor.read() - place < s.d.counts(15000));
   }
 }
 

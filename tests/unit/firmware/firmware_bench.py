@@ -67,7 +67,7 @@ class TurningSpool:
         self.wall = -math.inf
         self.unseen = False  # the encoder is unplugged
         self.share = 1.0  # of the counts that it shows
-        self.seen = 0.0
+        self.shown = 0.0
 
     def step(self, board: VirtualBoard, dt: float) -> None:
         duty = board.motor
@@ -80,7 +80,7 @@ class TurningSpool:
         previous = self.counts
         self.counts = max(self.wall, self.counts + self.speed * dt)
         if not self.unseen:
-            self.seen += self.share * (self.counts - previous)
+            self.shown += self.share * (self.counts - previous)
 
 
 @dataclass
@@ -156,12 +156,12 @@ class Bench:
         for _ in range(ms // STEP_MS):
             if self.beating and self.session and self.board.now_us // 1000 % 100 == 0:
                 self.beat()
-            previous = self.spool.seen
+            previous = self.spool.shown
             self.air.step(self.board, STEP_MS * 1e-3)
             self.spool.step(self.board, STEP_MS * 1e-3)
             now_us = self.inputs()
             self.board.set_analog(np.ascontiguousarray(np.stack([self.counts, now_us], axis=1)))
-            self.board.set_encoder(previous, self.spool.seen)
+            self.board.set_encoder(previous, self.spool.shown)
             self.counts = now_us
             self.board.step(STEP_MS)
             fresh += self.listen()
@@ -198,8 +198,8 @@ class Bench:
         self.send(message, self.seq, self.session)
         for _ in range(ms // STEP_MS):
             for arrival in self.step():
-                mine = arrival.seq == self.seq and arrival.session == self.session
-                if mine and isinstance(arrival.message, wire.Reply):
+                answers = arrival.seq == self.seq and arrival.session == self.session
+                if answers and isinstance(arrival.message, wire.Reply):
                     return arrival.message
         raise AssertionError(f"no reply to {message}")
 

@@ -110,10 +110,10 @@ TEST(a_power_cut_at_any_byte_of_the_flash_leaves_the_old_or_the_new) {
         flash.garbage = garbage;
         store.commit();
         const bool was_cut = flash.dead;
-        const Image found = reboot(flash);
-        CHECK(found == before || found == after);
+        const Image kept = reboot(flash);
+        CHECK(kept == before || kept == after);
         if (!was_cut) {
-          CHECK(found == after);
+          CHECK(kept == after);
           break;
         }
         // And the store works on: what comes next is kept.
@@ -122,7 +122,7 @@ TEST(a_power_cut_at_any_byte_of_the_flash_leaves_the_old_or_the_new) {
         next.write(1000, 0x42);
         next.commit();
         CHECK_EQUAL(reboot(flash)[1000], 0x42);
-        CHECK_EQUAL(reboot(flash)[3], found[3]);
+        CHECK_EQUAL(reboot(flash)[3], kept[3]);
         if (cut > 40 && cut < kFlashSector - 40) cut += 37;  // far from what decides
       }
     }
@@ -139,10 +139,10 @@ TEST(no_flipped_bit_brings_the_older_sector_back) {
   }
   const Image newest = image(store);
   // What is damaged is handed on as it is: the core's slots have check sequences.
-  const auto flipped_bits = [&newest](const Image& found) {
+  const auto flipped_bits = [&newest](const Image& damaged) {
     int bits = 0;
-    for (size_t i = 0; i < found.size(); ++i) {
-      for (int left = found[i] ^ newest[i]; left != 0; left &= left - 1) ++bits;
+    for (size_t i = 0; i < damaged.size(); ++i) {
+      for (int left = damaged[i] ^ newest[i]; left != 0; left &= left - 1) ++bits;
     }
     return bits;
   };

@@ -19,16 +19,16 @@ using namespace thigmo;
 using Bytes = std::vector<uint8_t>;
 
 inline std::vector<Frame> frames_of(FrameDecoder& decoder, const Bytes& bytes) {
-  std::vector<Frame> found;
+  std::vector<Frame> frames;
   for (size_t at = 0; at < bytes.size();) {
     uint8_t taken = 0;
     const uint8_t part = static_cast<uint8_t>(std::min<size_t>(40, bytes.size() - at));
     if (decoder.push(bytes.data() + at, part, &taken) == FrameDecoder::Result::kFrame) {
-      found.push_back(decoder.frame());
+      frames.push_back(decoder.frame());
     }
     at += taken;
   }
-  return found;
+  return frames;
 }
 
 inline Bytes wire_of(const Frame& frame) {
@@ -63,18 +63,18 @@ void check_vector(const Message& message, uint16_t seq, uint16_t session, const 
   CHECK_EQUAL(crc16(frame.bytes, frame.size), raw[raw.size() - 2] | raw[raw.size() - 1] << 8);
   CHECK(wire_of(frame) == wire);
   FrameDecoder decoder;
-  const std::vector<Frame> found = frames_of(decoder, wire);
-  CHECK_EQUAL(found.size(), 1u);
-  if (found.size() != 1) return;
-  CHECK_EQUAL(found[0].id(), Message::kId);
-  CHECK_EQUAL(found[0].seq(), seq);
-  CHECK_EQUAL(found[0].session(), session);
+  const std::vector<Frame> frames = frames_of(decoder, wire);
+  CHECK_EQUAL(frames.size(), 1u);
+  if (frames.size() != 1) return;
+  CHECK_EQUAL(frames[0].id(), Message::kId);
+  CHECK_EQUAL(frames[0].seq(), seq);
+  CHECK_EQUAL(frames[0].session(), session);
   Message decoded = {};
-  CHECK(Message::decode(found[0].payload(), found[0].payload_size(), &decoded));
+  CHECK(Message::decode(frames[0].payload(), frames[0].payload_size(), &decoded));
   uint8_t again[protocol::kMaxPayload];
   decoded.encode(again);
-  CHECK(std::memcmp(again, found[0].payload(), Message::kSize) == 0);
-  CHECK(!Message::decode(found[0].payload(), Message::kSize + 1, &decoded));
+  CHECK(std::memcmp(again, frames[0].payload(), Message::kSize) == 0);
+  CHECK(!Message::decode(frames[0].payload(), Message::kSize + 1, &decoded));
 }
 
 }  // namespace link_cases

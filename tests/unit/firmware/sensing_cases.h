@@ -58,7 +58,7 @@ TEST(a_finer_converters_ends_are_the_ends_and_forgotten_at_once) {
   Narrowing narrowing(12);
   const auto convert_all = [&narrowing](uint16_t count) {
     AdcFrame frame;
-    for (uint16_t& one : frame.count) one = count;
+    for (uint16_t& raw : frame.count) raw = count;
     frame.tick = 0;
     narrowing.apply(&frame);
     return frame.count[0];
@@ -148,20 +148,20 @@ TEST(open_and_short_circuits_need_bad_conversions_in_a_row_or_a_share_of_them) {
     const uint16_t bad = open ? 0 : 1023;
     FlexReadings readings;
     readings.set_oversampling(4);
-    const auto found = [&] { return open ? readings.open(3) : readings.shorted(3); };
-    const auto other = [&] { return open ? readings.shorted(3) : readings.open(3); };
+    const auto fault = [&] { return open ? readings.open(3) : readings.shorted(3); };
+    const auto opposite_fault = [&] { return open ? readings.shorted(3) : readings.open(3); };
     for (int i = 0; i < FlexReadings::kBadLimit - 1; ++i) convert(readings, 3, bad);
-    CHECK(!found());
+    CHECK(!fault());
     for (int i = 0; i < kGood; ++i) convert(readings, 3, 500);  // a dropout ends, and is forgotten
     for (int i = 0; i < FlexReadings::kBadLimit; ++i) {
-      CHECK(!found() && !readings.any_bad());
+      CHECK(!fault() && !readings.any_bad());
       convert(readings, 3, bad);
     }
-    CHECK(found() && !other() && !readings.open(4) && readings.any_bad());
+    CHECK(fault() && !opposite_fault() && !readings.open(4) && readings.any_bad());
     convert(readings, 3, open ? 1023 : 0);  // bad all the same
-    CHECK(!found() && other() && readings.any_bad());
+    CHECK(!fault() && opposite_fault() && readings.any_bad());
     convert(readings, 3, 500);
-    CHECK(!found() && !other() && !readings.any_bad());
+    CHECK(!fault() && !opposite_fault() && !readings.any_bad());
   }
   // A wire that chatters, between its ends or between one and the truth.
   const auto noticed = [](std::vector<uint16_t> counts) {

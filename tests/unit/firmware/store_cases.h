@@ -279,12 +279,12 @@ using Entry = std::vector<uint8_t>;
 inline std::vector<Entry> entries(const Eeprom& eeprom) {
   const uint8_t* at = eeprom.cells + kSlotAt[0] + kSlotHeader;
   const uint8_t* const end = at + (at[-2] | at[-1] << 8);
-  std::vector<Entry> found;
+  std::vector<Entry> parts;
   while (at < end) {
-    found.emplace_back(at, at + kEntryHeader + at[1] * at[2]);
-    at += found.back().size();
+    parts.emplace_back(at, at + kEntryHeader + at[1] * at[2]);
+    at += parts.back().size();
   }
-  return found;
+  return parts;
 }
 
 // Puts other entries there, as another firmware would have stored them.
@@ -349,16 +349,16 @@ TEST(another_firmwares_parameters_are_kept_by_their_ids) {
     CHECK_EQUAL(next.report().unknown.count, 0);
     // The other had one of another id in its place, or of another number of values, or type.
     for (const int change : {0, 1, 2}) {
-      std::vector<Entry> other = whole;
-      other[key][0] = change == 0 ? 254 : other[key][0];
-      if (change == 1) other[key][1] = other[key][1] == 4 ? 2 : 1;
-      if (change == 2) --other[key][2];
-      other[key].resize(kEntryHeader + other[key][1] * other[key][2]);
+      std::vector<Entry> changed = whole;
+      changed[key][0] = change == 0 ? 254 : changed[key][0];
+      if (change == 1) changed[key][1] = changed[key][1] == 4 ? 2 : 1;
+      if (change == 2) --changed[key][2];
+      changed[key].resize(kEntryHeader + changed[key][1] * changed[key][2]);
       ConfigStore third;
-      CHECK(same(load(other, third), without));
+      CHECK(same(load(changed, third), without));
       CHECK_EQUAL(third.report().fresh.id[0], whole[key][0]);
       CHECK_EQUAL(third.report().unknown.count, 1);
-      CHECK_EQUAL(third.report().unknown.id[0], other[key][0]);
+      CHECK_EQUAL(third.report().unknown.id[0], changed[key][0]);
     }
   }
 }
@@ -427,7 +427,7 @@ TEST(no_boot_count_comes_twice_though_power_is_cut) {
   // Just before carries through every byte.
   for (const uint32_t start : {0xFFFFFFF0u, 0x000000F0u, 0x0000FFF0u, 0x00FFFFF0u}) {
     for (int i = 0; i < 4; ++i) eeprom.cells[i] = static_cast<uint8_t>(start >> (8 * i));
-    std::vector<uint32_t> seen;
+    std::vector<uint32_t> counts;
     for (int i = 0; i < 40; ++i) {
       ConfigStore store;
       Configuration c;
@@ -446,15 +446,15 @@ TEST(no_boot_count_comes_twice_though_power_is_cut) {
       }
       if (store.counted()) {
         // Ever upwards, round the corner too: so none comes twice.
-        if (!seen.empty()) {
-          CHECK(static_cast<int32_t>(store.boot_count() - seen.back()) > 0);
+        if (!counts.empty()) {
+          CHECK(static_cast<int32_t>(store.boot_count() - counts.back()) > 0);
         }
-        seen.push_back(store.boot_count());
+        counts.push_back(store.boot_count());
       }
       eeprom.dead = false;
       eeprom.cut_at = -1;
     }
-    CHECK(seen.size() > 14);
+    CHECK(counts.size() > 14);
   }
 }
 
@@ -463,7 +463,7 @@ TEST(a_worn_counter_cell_keeps_no_robot_from_starting_and_no_count_comes_twice) 
     Eeprom eeprom;
     eeprom.worn = worn;
     eeprom.cells[worn] = 0x5A;
-    std::vector<uint32_t> seen;
+    std::vector<uint32_t> counts;
     for (int i = 0; i < 40; ++i) {
       ConfigStore store;
       Configuration c;
@@ -471,8 +471,8 @@ TEST(a_worn_counter_cell_keeps_no_robot_from_starting_and_no_count_comes_twice) 
       boot(eeprom, store, c);
       CHECK(store.counted());
       CHECK(eeprom.writes - before < 12);  // and it is not worn further
-      for (const uint32_t one : seen) CHECK(store.boot_count() != one);
-      seen.push_back(store.boot_count());
+      for (const uint32_t count : counts) CHECK(store.boot_count() != count);
+      counts.push_back(store.boot_count());
     }
   }
 }

@@ -48,10 +48,10 @@ def counts_of_a_move(bench: Bench) -> float:
     """Counts that the spool turns for 2 cm of growth."""
     bench.do(wire.ConfirmLength(100_000, 1))
     bench.do(wire.Arm())
-    before = bench.spool.seen
+    before = bench.spool.shown
     bench.do(wire.GrowTo(120_000, 0))
     bench.until(lambda: bench.ended(A.GROWING))
-    return bench.spool.seen - before
+    return bench.spool.shown - before
 
 
 @pytest.fixture(scope="module")

@@ -144,7 +144,7 @@ class Cause:
     within_ms: tuple[int, int]  # the outputs are off: not before, and not after
     value: int | None = None  # of the event
     lasts: bool = True  # until it is taken away
-    others: tuple[wire.Fault, ...] = ()  # that it brings along
+    consequences: tuple[wire.Fault, ...] = ()
 
 
 CAUSES = {
@@ -154,7 +154,9 @@ CAUSES = {
     "left wire": Cause(F.PRESSURE_WIRE, bending, channel(10, 0.0), (0, 25), 0),
     "right wire": Cause(F.PRESSURE_WIRE, bending, channel(11, 0.0), (0, 25), 1),
     "shorted wire": Cause(F.PRESSURE_WIRE, bending, channel(10, 1023.0), (0, 25), 0),
-    "no air": Cause(F.PRESSURE_STUCK, bending, stick, (0, 6000), 0, others=(F.PRESSURE_MISMATCH,)),
+    "no air": Cause(
+        F.PRESSURE_STUCK, bending, stick, (0, 6000), 0, consequences=(F.PRESSURE_MISMATCH,)
+    ),
     **{
         f"sensor {sensor} {fault.key}": Cause(
             fault, bending, channel(sensor, count), (0, 100), sensor
@@ -199,7 +201,7 @@ def test_a_fault_is_named_and_safe_and_left_by_commands_alone(name: str) -> None
     earliest, latest = cause.within_ms
     assert 1000 * earliest <= bench.board.now_us - start <= 1000 * latest
     expect(bench, cause.fault, max(100, latest), cause.value)
-    assert set(bench.faults()) == {cause.fault, *cause.others}
+    assert set(bench.faults()) == {cause.fault, *cause.consequences}
     moves = cause.fault in (F.SPOOL_STALL, F.SPOOL_SLIP)
     assert bool(bench.status().conditions & wire.Condition.LENGTH_KNOWN.mask) is not moves
     if cause.lasts:
@@ -389,7 +391,7 @@ def test_a_jammed_spool_that_shows_a_count_now_and_then_is_a_stall() -> None:
     bench.spool.jammed = True
     for _ in range(4):
         bench.step(350)
-        bench.spool.seen -= 1.0
+        bench.spool.shown -= 1.0
     assert bench.faults() == (F.SPOOL_STALL,)
     assert bench.safe()
 

@@ -91,7 +91,7 @@ def test_a_reading_comes_back_as_it_was(sums: list[int], value: float, moves: bo
 def test_a_record_of_raw_frames_alone_says_so(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "run.mcap", {}) as log:
         log.frame("rx", b"1", 1.0)
-    with pytest.raises(RunFolderError, match="only raw frames"):
+    with pytest.raises(RunFolderError, match="no message of a run"):
         read_messages(tmp_path)
 
 

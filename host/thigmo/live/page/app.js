@@ -18,7 +18,7 @@ import { drawWords, forget as forgetWords } from "./words.js";
 const AGES_MS = 1000; // a reading grows old also while nothing comes
 let lost = false, asked = false, spent = 0;
 let opened = null; // what the server says of the finished run that this page has opened
-let again = false; // the server is about to tell all of it once more
+let retold = false; // the server is about to tell all of it once more
 // For tests, pictures and the benchmark: what the page knows; how old the newest reading was each
 // time that one was drawn, if they are to be kept; and whether the page is to stand still.
 const hooks = (window.thigmo = { store, ages_s: [], keep: false, still: false });
@@ -67,14 +67,14 @@ function takePage(message) {
   // A viewer of a robot that moves must be able to stop it: a run that begins is shown.
   if (message.mode === "live" && !message.ended) opened = null;
   if (opened) message = { ...message, ...opened, mode: "record" };
-  const before = store.page, same = before?.run?.id === message.run?.id;
+  const previous = store.page, same = previous?.run?.id === message.run?.id;
   store.page = message;
   document.body.dataset.mode = message.mode;
   $("player").hidden = message.mode !== "record";
   $("truth-legend").hidden = !message.truth?.length;
   const records = message.mode === "record";
   // A motion after a run that is looked back at adds to what is shown.
-  if (!same || records && before?.mode !== "record" || again && message.mode === "live") {
+  if (!same || records && previous?.mode !== "record" || retold && message.mode === "live") {
     if (message.mode === "live" || records) {
       reset();
       store.origin = message.run?.t_s ?? null;
@@ -82,7 +82,7 @@ function takePage(message) {
     }
     if (records) loadRecord().then(ask);
   }
-  again = false;
+  retold = false;
   stopReaches(message.stop, message);
 }
 
@@ -103,7 +103,7 @@ function batch(messages) {
 }
 
 const { send } = listen({
-  opened: () => { again = true; },
+  opened: () => { retold = true; },
   batch,
   lost: () => { lost = true; if (store.page?.mode !== "record") stopReaches("offline"); ask(); },
 });

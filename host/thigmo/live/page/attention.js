@@ -5,7 +5,7 @@ import { question } from "./control.js";
 import { $, store } from "./store.js";
 
 const CAN = "Notification" in window;
-let said = null;
+let lastWanted = null;
 
 export function connectAttention() {
   $("notify").addEventListener("click", async () => {
@@ -29,8 +29,8 @@ export function drawAttention() {
   document.title = [want, name].filter(Boolean).join(": ") + (page?.run ? " · thigmo" : "");
   $("notify").hidden = !(CAN && Notification.permission === "default" && page?.mode !== "record");
   // What was there when the page was opened is no news.
-  const news = said !== null && want && want !== said;
-  if (page) said = want;
+  const news = lastWanted !== null && want && want !== lastWanted;
+  if (page) lastWanted = want;
   if (!news || !CAN || Notification.permission !== "granted" || document.hasFocus()) return;
   const text = question()?.text ?? store.last.state?.outcome ?? "";
   new Notification(`${want}: ${name}`, { body: text, tag: "thigmo" });

@@ -22,8 +22,8 @@ const span = () => view ?? [0, longest()];
 const plotWidth = () => svg.clientWidth - PAD.left - PAD.right;
 
 // Show the body from an arc on, and so much of it, as far as there is a body.
-function look(from, wide) {
-  const width = Math.max(wide, NARROWEST_CM), start = Math.max(0, Math.min(from, longest() - width));
+function look(low, wide) {
+  const width = Math.max(wide, NARROWEST_CM), start = Math.max(0, Math.min(low, longest() - width));
   view = width >= longest() ? null : [start, start + width];
   drawn = "";
   drawBodyChart();
@@ -33,17 +33,17 @@ export function drawBodyChart() {
   const width = svg.clientWidth, height = svg.clientHeight;
   const row = index(), { last, page } = store;
   const values = row < 0 ? [] : Array.from({ length: 2 * SENSORS }, (_, n) => store.columns[COLUMN.curvature + n][row]);
-  const [from, to] = span();
-  const key = JSON.stringify([width, height, row, from, to, shown()?.t_s, shown()?.side, last.contacts?.t_s, page?.body]);
+  const [low, high] = span();
+  const key = JSON.stringify([width, height, row, low, high, shown()?.t_s, shown()?.side, last.contacts?.t_s, page?.body]);
   if (key === drawn || width < 10) return;
   drawn = key;
   layer.replaceChildren();
   marks.replaceChildren();
-  const X = (arc) => PAD.left + (arc - from) / (to - from) * plotWidth();
+  const X = (arc) => PAD.left + (arc - low) / (high - low) * plotWidth();
   for (const [name, value] of Object.entries({ x: PAD.left, y: 0, width: Math.max(plotWidth(), 0), height })) clip.setAttribute(name, value);
   const upper = { y0: PAD.top, y1: PAD.top + (height - PAD.top - PAD.bottom - PAD.between) * .42 };
   const lower = { y0: upper.y1 + PAD.between, y1: height - PAD.bottom };
-  for (const arc of ticks(from, to, Math.max(4, width / 90))) {
+  for (const arc of ticks(low, high, Math.max(4, width / 90))) {
     make("line", { x1: X(arc), x2: X(arc), y1: upper.y0, y2: lower.y1, stroke: "var(--grid)" }, marks);
     text(layer, X(arc), lower.y1 + 15, +arc.toFixed(2), { "text-anchor": "middle", fill: "var(--faint)" });
   }
@@ -74,9 +74,9 @@ function drawDensity({ y0, y1 }, X) {
     for (const value of ticks(0, most, 3).slice(1)) {
       text(layer, PAD.left - 8, Y(value) + 4, +value.toPrecision(3), { "text-anchor": "end", fill: "var(--faint)" });
     }
-    const what = svg.clientWidth < NARROW ? "contact" : "probability density of a contact";
-    const muscle = muscles().find((each) => each.side === side)?.name ?? side;
-    words = `${what}, by ${posterior.sweeping ? "this sweep so far" : "the last sweep alone"}, ${muscle} muscle`;
+    const quantity = svg.clientWidth < NARROW ? "contact" : "probability density of a contact";
+    const muscle = muscles().find((candidate) => candidate.side === side)?.name ?? side;
+    words = `${quantity}, by ${posterior.sweeping ? "this sweep so far" : "the last sweep alone"}, ${muscle} muscle`;
   } else if (posterior) {
     words = `${posterior.sweeping ? "this sweep so far" : "the last sweep"}: ${posterior.status}`;
   }
@@ -91,8 +91,8 @@ function drawDensity({ y0, y1 }, X) {
 const has = Number.isFinite;
 
 function drawCurvature(values, { y0, y1 }, X) {
-  const known = values.filter((value, n) => has(value) && (n >= SENSORS || values[n + SENSORS] !== null));
-  least = Math.max(least, ...known.map(Math.abs));
+  const measured = values.filter((value, n) => has(value) && (n >= SENSORS || values[n + SENSORS] !== null));
+  least = Math.max(least, ...measured.map(Math.abs));
   const most = Math.ceil(least * 100) / 100, Y = (value) => (y0 + y1) / 2 - value / most * (y1 - y0) / 2;
   for (const value of [-most, 0, most]) {
     make("line", { x1: PAD.left, x2: PAD.left + plotWidth(), y1: Y(value), y2: Y(value), stroke: value ? "var(--grid)" : "var(--line)" }, marks);
@@ -128,15 +128,15 @@ function drawLegend() {
 
 svg.addEventListener("wheel", (event) => {
   event.preventDefault();
-  const [from, to] = span(), share = (event.clientX - svg.getBoundingClientRect().left - PAD.left) / plotWidth();
-  const wide = (to - from) * Math.exp(Math.max(-.5, Math.min(.5, event.deltaY / 240)));
-  look(from + share * (to - from - wide), wide); // what is under the pointer stays there
+  const [low, high] = span(), share = (event.clientX - svg.getBoundingClientRect().left - PAD.left) / plotWidth();
+  const wide = (high - low) * Math.exp(Math.max(-.5, Math.min(.5, event.deltaY / 240)));
+  look(low + share * (high - low - wide), wide); // what is under the pointer stays there
 }, { passive: false });
 svg.addEventListener("pointerdown", (event) => {
   if (event.button !== 0 || !view) return;
   svg.setPointerCapture(event.pointerId);
-  const [from, to] = view, start = event.clientX;
-  svg.onpointermove = (moved) => look(from - (moved.clientX - start) / plotWidth() * (to - from), to - from);
+  const [low, high] = view, start = event.clientX;
+  svg.onpointermove = (move) => look(low - (move.clientX - start) / plotWidth() * (high - low), high - low);
   svg.onpointerup = svg.onpointercancel = () => { svg.onpointermove = null; };
 });
 svg.addEventListener("dblclick", () => look(0, longest()));

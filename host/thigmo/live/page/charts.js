@@ -5,17 +5,17 @@ import { $, COLUMN, columns, css, element, index, muscles, shade, store, until }
 import { minus, rounded } from "./svg.js";
 
 const DASH = [5, 4];
-const sensors = (of) => [
-  ...of.inputs.map((input, n) => ({ column: COLUMN.curvature + input, colour: shade(of, n), width: 1, soft: true, alpha: .28 })),
-  ...of.inputs.map((input, n) => ({ column: COLUMN.telling + input, colour: shade(of, n), width: 1.6, name: `${n}` })),
-  ...of.inputs.map((input) => ({ column: COLUMN.expected + input, colour: "--ink", width: 1.1, dash: DASH, soft: true })),
+const sensors = (column) => [
+  ...column.inputs.map((input, n) => ({ column: COLUMN.curvature + input, colour: shade(column, n), width: 1, soft: true, alpha: .28 })),
+  ...column.inputs.map((input, n) => ({ column: COLUMN.telling + input, colour: shade(column, n), width: 1.6, name: `${n}` })),
+  ...column.inputs.map((input) => ({ column: COLUMN.expected + input, colour: "--ink", width: 1.1, dash: DASH, soft: true })),
 ];
 const sides = (column, options = {}) => muscles().map(({ name, side, output }) => (
   { column: column + output, colour: `--${side}`, width: 1.8, name, ...options }
 ));
-const curvatures = (of) => ({
-  title: `Curvature, ${of.name} sensors`, unit: "1/cm", height: 136, least: [-.01, .01], digits: 4,
-  series: sensors(of), many: true, note: "0: base; pale: inflated side", dashed: "the free body",
+const curvatures = (column) => ({
+  title: `Curvature, ${column.name} sensors`, unit: "1/cm", height: 136, least: [-.01, .01], digits: 4,
+  series: sensors(column), many: true, note: "0: base; pale: inflated side", dashed: "the free body",
 });
 const charts = () => [
   {
@@ -53,9 +53,9 @@ function overlaid(chart) {
 }
 
 // Rows of another run from a time to another, one more at either end.
-function rowsWithin(times, from, to) {
-  const at = (t) => t;
-  return [Math.max(until(times, from, at) - 1, 0), Math.min(until(times, to, at) + 1, times.length)];
+function rowsWithin(times, start, end) {
+  const identity = (t) => t;
+  return [Math.max(until(times, start, identity) - 1, 0), Math.min(until(times, end, identity) + 1, times.length)];
 }
 
 function drawOverlay(chart) {
@@ -105,10 +105,10 @@ function range(chart) {
   const [low, high] = chart.least;
   return (plot, lowest, highest) => {
     if (chart.zoomed) return chart.zoomed;
-    const [under, over] = overlayExtent(chart, plot);
-    const from = Math.min(lowest ?? Infinity, under), to = Math.max(highest ?? -Infinity, over);
-    if (!Number.isFinite(from) || !Number.isFinite(to)) return [low, high];
-    const bottom = Math.min(low, from), top = Math.max(high, to), air = .06 * (top - bottom);
+    const [overlayLow, overlayHigh] = overlayExtent(chart, plot);
+    const least = Math.min(lowest ?? Infinity, overlayLow), greatest = Math.max(highest ?? -Infinity, overlayHigh);
+    if (!Number.isFinite(least) || !Number.isFinite(greatest)) return [low, high];
+    const bottom = Math.min(low, least), top = Math.max(high, greatest), air = .06 * (top - bottom);
     return [bottom < low ? bottom - air : bottom, top > high ? top + air : top];
   };
 }
@@ -149,12 +149,12 @@ function makeCharts() {
       axes: [
         {
           stroke: chart.last ? soft : faint, grid, ticks: { show: false }, font, size: chart.last ? 20 : 8, gap: 3,
-          values: chart.last ? (_, at) => at.map(minus) : (_, at) => at.map(() => ""),
+          values: chart.last ? (_, splits) => splits.map(minus) : (_, splits) => splits.map(() => ""),
           label: chart.last ? "robot time, s" : undefined, labelSize: 15, labelGap: 0, labelFont: font,
         },
         {
           stroke: faint, grid, ticks: { show: false }, font, size: 46, gap: 5, space: 26,
-          values: (_, at) => at.map((value) => minus(+value.toPrecision(6))), label: chart.axis ?? chart.unit, labelSize: 16, labelFont: font,
+          values: (_, splits) => splits.map((value) => minus(+value.toPrecision(6))), label: chart.axis ?? chart.unit, labelSize: 16, labelFont: font,
         },
       ],
       series: [{}, ...chart.series.map((line) => ({
@@ -182,15 +182,15 @@ function look(min, max) {
   const { columns, overlay } = store;
   const first = columns[0][0] ?? 0, last = Math.max(columns[0].at(-1) ?? 1, overlay?.columns[0].at(-1) ?? 0, first + 1);
   const width = Math.min(Math.max(max - min, LEAST_S), last - first);
-  const from = Math.min(Math.max(min, first), last - width);
-  view = { min: from, max: from + width };
+  const start = Math.min(Math.max(min, first), last - width);
+  view = { min: start, max: start + width };
   drawWindow();
   drawCharts();
 }
 
 // Zoom all charts in time, about a moment: the one that is shown stays where it is.
-export function zoom(factor, about = null) {
-  const { min, max } = span(), centre = about ?? (min + max) / 2;
+export function zoom(factor, moment = null) {
+  const { min, max } = span(), centre = moment ?? (min + max) / 2;
   look(centre - factor * (centre - min), centre + factor * (max - centre));
 }
 
@@ -209,32 +209,32 @@ export function unzoom() {
 const factorOf = (event) => Math.exp(Math.max(-.5, Math.min(.5, (event.deltaY || event.deltaX) / 240)));
 
 function listenTo(chart, plot) {
-  const { over } = plot;
-  over.addEventListener("wheel", (event) => {
+  const surface = plot.over;
+  surface.addEventListener("wheel", (event) => {
     event.preventDefault();
-    const box = over.getBoundingClientRect();
+    const box = surface.getBoundingClientRect();
     if (!event.shiftKey) return zoom(factorOf(event), plot.posToVal(event.clientX - box.left, "x"));
-    const { min, max } = plot.scales.y, about = plot.posToVal(event.clientY - box.top, "y"), factor = factorOf(event);
-    chart.zoomed = [about - factor * (about - min), about + factor * (max - about)];
+    const { min, max } = plot.scales.y, pivot = plot.posToVal(event.clientY - box.top, "y"), factor = factorOf(event);
+    chart.zoomed = [pivot - factor * (pivot - min), pivot + factor * (max - pivot)];
     drawn = "";
     drawCharts();
   }, { passive: false });
-  over.addEventListener("dblclick", unzoom);
-  over.addEventListener("pointerdown", (event) => {
+  surface.addEventListener("dblclick", unzoom);
+  surface.addEventListener("pointerdown", (event) => {
     if (event.button !== 0) return;
-    over.setPointerCapture(event.pointerId);
-    const { min, max } = span(), height = chart.zoomed, from = [event.clientX, event.clientY];
-    const box = over.getBoundingClientRect();
-    over.onpointermove = (moved) => {
-      const aside = (moved.clientX - from[0]) / box.width * (max - min);
+    surface.setPointerCapture(event.pointerId);
+    const { min, max } = span(), height = chart.zoomed, start = [event.clientX, event.clientY];
+    const box = surface.getBoundingClientRect();
+    surface.onpointermove = (move) => {
+      const aside = (move.clientX - start[0]) / box.width * (max - min);
       if (height) {
-        const up = (moved.clientY - from[1]) / box.height * (height[1] - height[0]);
+        const up = (move.clientY - start[1]) / box.height * (height[1] - height[0]);
         chart.zoomed = height.map((value) => value + up);
         drawn = "";
       }
       if (aside || view) look(min - aside, max - aside);
     };
-    over.onpointerup = over.onpointercancel = () => { over.onpointermove = null; };
+    surface.onpointerup = surface.onpointercancel = () => { surface.onpointermove = null; };
   });
 }
 

@@ -36,10 +36,10 @@ export async function connectEfforts() {
   drawSkips();
 }
 
-function row(name, checked, said, extra = "") {
+function row(name, checked, columns, extra = "") {
   const button = element("input", { type: "radio", name: "effort", value: name });
   button.checked = checked;
-  return element("tr", { "data-effort": name }, element("td", {}, element("label", {}, button, name, extra)), ...said);
+  return element("tr", { "data-effort": name }, element("td", {}, element("label", {}, button, name, extra)), ...columns);
 }
 
 // What is expected of an effort: its time on this robot, its errors in the study's rooms.

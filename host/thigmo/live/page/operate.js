@@ -11,14 +11,14 @@ const ASKED = {
   clear: ["The robot was stopped. Look at it: is nothing caught, and is nobody near? Then it may move again.", "Clear the stop"],
   retract: ["The muscles are emptied first, then the robot is wound in. It goes on while this page is open and in view.", "Retract"],
 };
-let sure = null; // what is to be confirmed
+let pendingCommand = null; // what is to be confirmed
 
 export function connectOperate(send) {
-  for (const name of Object.keys(ASKED)) $(name).addEventListener("click", () => ask(sure === name ? null : name));
+  for (const name of Object.keys(ASKED)) $(name).addEventListener("click", () => ask(pendingCommand === name ? null : name));
   $("sure-no").addEventListener("click", () => ask(null));
   $("sure").addEventListener("submit", (event) => {
     event.preventDefault();
-    send({ command: sure, length: $("length-now").value, to: $("length-to").value });
+    send({ command: pendingCommand, length: $("length-now").value, to: $("length-to").value });
     ask(null);
   });
   $("jog").addEventListener("submit", (event) => {
@@ -33,12 +33,12 @@ export function connectOperate(send) {
   connectEfforts();
 }
 
-function ask(what) {
-  sure = what;
-  $("sure").hidden = !what;
-  if (!what) return;
-  const retracts = what === "retract", length = latest(COLUMN.length);
-  [$("sure-text").textContent, $("sure-yes").textContent] = ASKED[what];
+function ask(command) {
+  pendingCommand = command;
+  $("sure").hidden = !command;
+  if (!command) return;
+  const retracts = command === "retract", length = latest(COLUMN.length);
+  [$("sure-text").textContent, $("sure-yes").textContent] = ASKED[command];
   $("sure-lengths").hidden = !retracts;
   $("length-now").required = $("length-to").required = retracts;
   $("length-now").value = Number.isFinite(length) ? length.toFixed(1) : "";
@@ -51,7 +51,7 @@ function drawParameters(parameters) {
   const fields = parameters.filter(({ flag }) => !EFFORT.includes(flag));
   $("parameter-fields").replaceChildren(...fields.map(({ flag, label, help, choices, number }) => {
     const field = choices.length
-      ? element("select", {}, element("option", { value: "" }, "as usual"), ...choices.map((each) => element("option", {}, each)))
+      ? element("select", {}, element("option", { value: "" }, "as usual"), ...choices.map((choice) => element("option", {}, choice)))
       : element("input", number ? { type: "number", min: 0 } : { autocomplete: "off" });
     field.dataset.flag = flag;
     const words = element("label", {}, label, field);
@@ -72,7 +72,7 @@ export function drawOperate(rests, operates) {
   $("parameters").hidden = !parametrized;
   $("efforts").hidden = !parametrized || !$("effort-choices").children.length;
   $("finish").hidden = !finishes;
-  if (!finishes || !operates) { if (sure) ask(null); }
+  if (!finishes || !operates) { if (pendingCommand) ask(null); }
   $("finish-robot").textContent = page?.robot ?? "";
   $("clear").disabled = !operates;
   $("jog-cm").max = page?.jog_cm ?? 0;

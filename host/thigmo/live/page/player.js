@@ -24,9 +24,9 @@ export async function loadRecord() {
     store.columns[n] = Array.from(columns[n], (value) => Number.isNaN(value) ? null : value);
   });
   boards = facts.boards;
-  messages = facts.messages.filter((each) => !ONCE.includes(each.channel));
+  messages = facts.messages.filter((message) => !ONCE.includes(message.channel));
   for (const message of facts.messages) if (ONCE.includes(message.channel)) add(message);
-  end = Math.max(store.columns[0].at(-1) ?? 0, ...facts.messages.map((each) => time(each.t_s)));
+  end = Math.max(store.columns[0].at(-1) ?? 0, ...facts.messages.map((message) => time(message.t_s)));
   $("scrub").max = end;
   seek(end);
   drawMarks();
@@ -49,13 +49,13 @@ export async function readRecord(name) {
 
 export const loaded = () => end > 0;
 
-const recorded = (channel) => messages.filter((each) => each.channel === channel);
+const recorded = (channel) => messages.filter((message) => message.channel === channel);
 
 export function seek(t) {
   store.now = Math.min(Math.max(t, 0), end);
   Object.assign(store, { last: {}, trail: [], touched: null });
   for (const message of messages) if (time(message.t_s) <= store.now + 1e-9) hold(message);
-  store.board = boards[until(boards, store.now, (each) => each.t) - 1] ?? BOARD;
+  store.board = boards[until(boards, store.now, (entry) => entry.t) - 1] ?? BOARD;
   $("scrub").value = store.now;
   $("scrub").setAttribute("aria-valuetext", `${rounded(store.now, 1)} s`);
   $("position").textContent = `${rounded(store.now, 1)} of ${rounded(end, 1)} s`;
@@ -69,22 +69,22 @@ function drawMarks() {
   make("rect", { x: 0, y: 14, width: end, height: 8, fill: "var(--line)", rx: 0 }, svg);
   let stage = null, shade = 0;
   const states = recorded("state");
-  for (const each of states) {
-    if (each.stage_cm === stage) continue;
-    stage = each.stage_cm;
-    const next = states.find((other) => other.t_s > each.t_s && other.stage_cm !== stage);
-    const from = time(each.t_s), to = next ? time(next.t_s) : end;
-    if (stage) make("rect", { x: from, y: 14, width: to - from, height: 8, fill: "var(--accent)", opacity: [.3, .55][shade++ % 2] }, svg);
+  for (const state of states) {
+    if (state.stage_cm === stage) continue;
+    stage = state.stage_cm;
+    const next = states.find((later) => later.t_s > state.t_s && later.stage_cm !== stage);
+    const start = time(state.t_s), stop = next ? time(next.t_s) : end;
+    if (stage) make("rect", { x: start, y: 14, width: stop - start, height: 8, fill: "var(--accent)", opacity: [.3, .55][shade++ % 2] }, svg);
   }
   const tick = end / 500;
   for (const event of store.events) {
     if (event.severity === "info" || technical(event)) continue;
     make("rect", { x: time(event.t_s) - tick / 2, y: 8, width: tick, height: 20, fill: `var(--${event.severity === "fault" ? "fault" : "warn"})` }, svg);
   }
-  let known = 0;
-  for (const each of recorded("contacts")) {
-    if (each.contacts.length > known) make("rect", { x: time(each.t_s) - tick, y: 6, width: 2 * tick, height: 24, fill: "var(--contact)" }, svg);
-    known = each.contacts.length;
+  let shownContacts = 0;
+  for (const message of recorded("contacts")) {
+    if (message.contacts.length > shownContacts) make("rect", { x: time(message.t_s) - tick, y: 6, width: 2 * tick, height: 24, fill: "var(--contact)" }, svg);
+    shownContacts = message.contacts.length;
   }
 }
 
@@ -94,10 +94,10 @@ export function connectPlayer(changed) {
   function run(at_ms) {
     if (playing === null) return;
     if (!shown() || !loaded()) return halt();
-    const on = store.now + (at_ms - before_ms) / 1000 * Number($("speed").value);
+    const moment = store.now + (at_ms - before_ms) / 1000 * Number($("speed").value);
     before_ms = at_ms;
-    show(on);
-    if (on >= end) return halt();
+    show(moment);
+    if (moment >= end) return halt();
     playing = requestAnimationFrame(run);
   }
   function halt() {

@@ -67,12 +67,12 @@ function fit() {
   const y1 = bounds.y1 + (top - PAD.top) / scale, y0 = bounds.y0 - (height - PAD.bottom - Y(bounds.y0)) / scale;
   const count = Math.max(4, Math.round(width / 90));
   const step = (n) => { const [a, b] = ticks(x0, x1, n); return b - a; };
-  const every = step(count);
-  for (let x = Math.ceil(x0 / every) * every; x <= x1; x += every) {
+  const spacing = step(count);
+  for (let x = Math.ceil(x0 / spacing) * spacing; x <= x1; x += spacing) {
     make("line", { x1: X(x), x2: X(x), y1: PAD.top, y2: height - PAD.bottom, stroke: "var(--grid)" }, layer);
     text(layer, X(x), height - PAD.bottom + 15, minus(x), { "text-anchor": "middle", fill: "var(--faint)" });
   }
-  for (let y = Math.ceil(y0 / every) * every; y <= y1; y += every) {
+  for (let y = Math.ceil(y0 / spacing) * spacing; y <= y1; y += spacing) {
     make("line", { y1: Y(y), y2: Y(y), x1: PAD.left, x2: width - PAD.right, stroke: "var(--grid)" }, layer);
     text(layer, PAD.left - 7, Y(y) + 4, minus(y), { "text-anchor": "end", fill: "var(--faint)" });
   }
@@ -98,17 +98,17 @@ export function drawRoom() {
   fit();
   changed("map", last.grid, drawMap);
   changed("overlay", store.overlay, drawOverlay);
-  const moved = [changed("truth", page?.truth, drawTruth), changed("contacts", last.contacts ?? NONE, drawContacts)];
+  const redrawn = [changed("truth", page?.truth, drawTruth), changed("contacts", last.contacts ?? NONE, drawContacts)];
   const length = latest(COLUMN.length) ?? page?.length_cm ?? 0;
   changed("reach", page?.mode === "idle" && page.body, drawReach);
   const shape = last.shape ?? (length > 0.5 ? straight(length) : null);
-  moved.push(changed("body", shape && (last.shape ?? length.toFixed(1)), () => drawBody(shape)));
+  redrawn.push(changed("body", shape && (last.shape ?? length.toFixed(1)), () => drawBody(shape)));
   changed("swept", store.trail.length ? store.trail.at(-1) : null, drawTrail);
-  const felt = posterior(), moves = felt?.sweeping && store.now - time(felt.t_s) < FRESH_S;
+  const measured = posterior(), moves = measured?.sweeping && store.now - time(measured.t_s) < FRESH_S;
   const poses = moves ? last.shape?.poses : store.touched;
-  moved.push(changed("posterior", felt && poses && [felt.t_s, felt.side, moves && last.shape.t_s].join(), () => drawPosterior(felt, poses, moves)));
+  redrawn.push(changed("posterior", measured && poses && [measured.t_s, measured.side, moves && last.shape.t_s].join(), () => drawPosterior(measured, poses, moves)));
   svg.classList.toggle("old", age() > 0);
-  if (moved.some(Boolean)) drawLabels(shape?.poses ?? [], felt && poses || []);
+  if (redrawn.some(Boolean)) drawLabels(shape?.poses ?? [], measured && poses || []);
 }
 
 // Draw a layer again if what it shows has changed; returns whether it has.
@@ -197,14 +197,14 @@ function drawBody(shape) {
   const { poses, radius_cm: radius } = shape, layer = layers.body;
   make("path", { d: tube(poses, radius), fill: "var(--tube)", stroke: "var(--tube-edge)", "stroke-width": 1.6, "stroke-linejoin": "round" }, layer);
   make("path", { d: line(beside(poses, 0)), fill: "none", stroke: "var(--tube-edge)", "stroke-width": 1, "stroke-dasharray": "1 4", "stroke-linecap": "round", opacity: .6 }, layer);
-  for (const of of columns()) {
-    const sign = of.side === "left" ? 1 : -1;
-    of.centers_cm.forEach((arc, n) => {
-      const [from, to] = [arc - 3, arc + 3].map((at) => along(poses, at));
+  for (const column of columns()) {
+    const sign = column.side === "left" ? 1 : -1;
+    column.centers_cm.forEach((arc, n) => {
+      const [start, end] = [arc - 3, arc + 3].map((place) => along(poses, place));
       const middle = along(poses, arc);
       if (!middle) return;
-      const points = [from ?? middle, middle, to ?? middle];
-      make("path", { d: line(beside(points, sign * radius * .72)), fill: "none", stroke: `var(${shade(of, n)})`, "stroke-width": 3.2, "stroke-linecap": "round" }, layer);
+      const points = [start ?? middle, middle, end ?? middle];
+      make("path", { d: line(beside(points, sign * radius * .72)), fill: "none", stroke: `var(${shade(column, n)})`, "stroke-width": 3.2, "stroke-linecap": "round" }, layer);
     });
   }
   drawBase(layer, radius);
@@ -251,25 +251,25 @@ function drawPosterior(posterior, poses, moves) {
 }
 
 function drawContacts({ contacts, words }) {
-  const layer = layers.contacts, before = labels;
+  const layer = layers.contacts, previous = labels;
   layers.labels.replaceChildren();
   for (const [n, contact] of contacts.entries()) {
     if (contact.surface.length > 1) drawWall(layer, contact);
-    const x = X(contact.x_cm), y = Y(contact.y_cm), sure = contact.status === "localized";
+    const x = X(contact.x_cm), y = Y(contact.y_cm), localized = contact.status === "localized";
     if (!pointEstimate(contact) && contact.track.length > 1) {
       make("path", { d: line(contact.track.map(([u, v]) => [X(u), Y(v)])), fill: "none", stroke: "var(--contact)", "stroke-width": 6, "stroke-opacity": .38, "stroke-linecap": "round" }, layer);
     }
     const [[a, b], [, d]] = contact.covariance_cm2;
     const middle = (a + d) / 2, spread = Math.hypot((a - d) / 2, b);
     if (!pointEstimate(contact)) make("ellipse", {
-      cx: x, cy: y, fill: sure ? "var(--contact-wash)" : "none", stroke: "var(--contact)", "stroke-width": 1.2, "stroke-dasharray": "5 3",
+      cx: x, cy: y, fill: localized ? "var(--contact-wash)" : "none", stroke: "var(--contact)", "stroke-width": 1.2, "stroke-dasharray": "5 3",
       rx: SIGMA_95 * Math.sqrt(Math.max(middle + spread, 0)) * scale,
       ry: SIGMA_95 * Math.sqrt(Math.max(middle - spread, 0)) * scale,
       transform: `rotate(${(-Math.atan2(2 * b, a - d) / 2 * 180 / Math.PI).toFixed(2)} ${x} ${y})`,
     }, layer);
-    make("circle", { cx: x, cy: y, r: 5.5, fill: sure ? "var(--contact)" : "var(--card)", stroke: sure ? "var(--card)" : "var(--contact)", "stroke-width": 2 }, layer);
+    make("circle", { cx: x, cy: y, r: 5.5, fill: localized ? "var(--contact)" : "var(--card)", stroke: localized ? "var(--card)" : "var(--contact)", "stroke-width": 2 }, layer);
   }
-  labels = contacts.map((contact, n) => label(contact, words[n], before[n]?.place));
+  labels = contacts.map((contact, n) => label(contact, words[n], previous[n]?.place));
 }
 
 // The part of a wall's face that was touched; in dashes while its place is only a guess.
@@ -290,18 +290,18 @@ function label(contact, words, place) {
   ];
   return {
     group, leader, lines, place, x: X(contact.x_cm), y: Y(contact.y_cm), away: contact.y_cm >= 0 ? -1 : 1,
-    width: Math.max(...lines.map((each) => each.getComputedTextLength())),
+    width: Math.max(...lines.map((row) => row.getComputedTextLength())),
   };
 }
 
 // Put the labels where they cover neither pegs nor the body, if there is room.
-function drawLabels(poses, felt) {
+function drawLabels(poses, contactPoses) {
   const { last, page } = store;
   const radius = (last.shape?.radius_cm ?? 2.4) * scale;
   const circle = ([x, y], r, cost) => ({ x: X(x), y: Y(y), r, cost });
   const things = [
     ...poses.map((pose) => circle(pose, radius, COST.body)),
-    ...felt.map((pose) => circle(pose, radius, COST.faint)),
+    ...contactPoses.map((pose) => circle(pose, radius, COST.faint)),
     ...(page?.truth ?? []).map((peg) => circle([peg.x_cm, peg.y_cm], peg.radius_cm * scale + 3, COST.named)),
   ];
   for (const { x_cm: x, y_cm: y, surface, track } of last.contacts?.contacts ?? []) {
@@ -312,14 +312,14 @@ function drawLabels(poses, felt) {
     const { x, y, group, leader, lines, place: { side } } = label;
     const { near, foot } = box(label, label.place);
     group.setAttribute("text-anchor", side > 0 ? "start" : "end");
-    lines.forEach((each, n) => {
-      each.setAttribute("x", near);
-      each.setAttribute("y", foot + 14 * n);
+    lines.forEach((row, n) => {
+      row.setAttribute("x", near);
+      row.setAttribute("y", foot + 14 * n);
     });
     // It ends at an upright bar: a stroke that ends before a number is its minus sign.
     const bar = near - 6 * side, length = Math.hypot(bar - x, foot + 3 - y);
-    const from = [x + 7 * (bar - x) / length, y + 7 * (foot + 3 - y) / length];
-    leader.setAttribute("d", `M${from}L${bar} ${foot + 3}M${bar} ${foot - 9}V${foot + 16}`);
+    const tail = [x + 7 * (bar - x) / length, y + 7 * (foot + 3 - y) / length];
+    leader.setAttribute("d", `M${tail}L${bar} ${foot + 3}M${bar} ${foot - 9}V${foot + 16}`);
   }
 }
 
@@ -346,18 +346,18 @@ const middle = () => {
 
 svg.addEventListener("wheel", (event) => {
   event.preventDefault();
-  const before = middle(), [x, y] = under(event);
-  const larger = Math.min(before.larger * Math.exp(-Math.max(-.5, Math.min(.5, event.deltaY / 240))), LARGEST);
-  const kept = before.larger / larger; // what is under the pointer stays there
-  look(larger <= 1 ? null : { x: x + kept * (before.x - x), y: y + kept * (before.y - y), larger });
+  const current = middle(), [x, y] = under(event);
+  const larger = Math.min(current.larger * Math.exp(-Math.max(-.5, Math.min(.5, event.deltaY / 240))), LARGEST);
+  const shrinkage = current.larger / larger; // what is under the pointer stays there
+  look(larger <= 1 ? null : { x: x + shrinkage * (current.x - x), y: y + shrinkage * (current.y - y), larger });
   drawRoom();
 }, { passive: false });
 svg.addEventListener("pointerdown", (event) => {
   if (event.button !== 0 || !view) return;
   svg.setPointerCapture(event.pointerId);
-  const { x, y, larger } = view, from = [event.clientX, event.clientY];
-  svg.onpointermove = (moved) => {
-    look({ x: x - (moved.clientX - from[0]) / scale, y: y + (moved.clientY - from[1]) / scale, larger });
+  const { x, y, larger } = view, start = [event.clientX, event.clientY];
+  svg.onpointermove = (move) => {
+    look({ x: x - (move.clientX - start[0]) / scale, y: y + (move.clientY - start[1]) / scale, larger });
     drawRoom();
   };
   svg.onpointerup = svg.onpointercancel = () => { svg.onpointermove = null; };

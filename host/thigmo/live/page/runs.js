@@ -7,7 +7,7 @@ import { runAt, runName } from "./result.js";
 import { $, element, store } from "./store.js";
 import { minus, rounded } from "./svg.js";
 
-let reading = null; // the run that is about to be laid over
+let loadingRun = null; // the run that is about to be laid over
 let runs = [], listedFor = null, compared = "", redraw = () => {};
 
 export function connectRuns(open, changed) {
@@ -40,12 +40,12 @@ export function drawRuns() {
 
 function drawRows() {
   const words = $("runs-find").value.toLowerCase();
-  const found = runs.filter((run) => JSON.stringify(Object.values(run)).toLowerCase().includes(words));
-  $("runs-count").textContent = runs.length ? `${found.length} of ${runs.length}` : "";
-  $("runs-empty").hidden = found.length > 0;
+  const matches = runs.filter((run) => JSON.stringify(Object.values(run)).toLowerCase().includes(words));
+  $("runs-count").textContent = runs.length ? `${matches.length} of ${runs.length}` : "";
+  $("runs-empty").hidden = matches.length > 0;
   $("runs-empty").textContent = runs.length ? "No run has this text." : "No run yet.";
-  $("runs-table").hidden = !found.length;
-  $("run-rows").replaceChildren(...found.map(row));
+  $("runs-table").hidden = !matches.length;
+  $("run-rows").replaceChildren(...matches.map(row));
 }
 
 function row({ run, problem, started, effort, outcome, contacts, robot_time_s, error_cm }) {
@@ -53,28 +53,28 @@ function row({ run, problem, started, effort, outcome, contacts, robot_time_s, e
     outcome, effort, contacts, `${rounded(robot_time_s, 0)} s`,
     error_cm === null ? "" : `${rounded(error_cm, 1)} cm`,
   ];
-  const over = store.overlay?.run === run, here = shownRun() === run;
+  const overlaid = store.overlay?.run === run, isShown = shownRun() === run;
   const button = (job, text, off) => {
-    const made = element("button", { type: "button", "data-run": run, "data-job": job, "aria-label": `${text} ${run}` }, text);
-    made.disabled = !!off;
-    return made;
+    const control = element("button", { type: "button", "data-run": run, "data-job": job, "aria-label": `${text} ${run}` }, text);
+    control.disabled = !!off;
+    return control;
   };
-  const lay = button("overlay", reading === run ? "Reading …" : over ? "Take off" : "Overlay", problem || here || reading === run);
-  lay.setAttribute("aria-pressed", String(over));
-  const opens = button("open", here ? "Shown" : "Open", problem || here || moves());
+  const lay = button("overlay", loadingRun === run ? "Reading …" : overlaid ? "Take off" : "Overlay", problem || isShown || loadingRun === run);
+  lay.setAttribute("aria-pressed", String(overlaid));
+  const opens = button("open", isShown ? "Shown" : "Open", problem || isShown || moves());
   if (moves()) opens.title = "A run is under way; open this one when it has ended.";
-  return element("tr", here ? { class: "here" } : {},
+  return element("tr", isShown ? { class: "here" } : {},
     element("td", {}, element("b", {}, run), element("div", { class: "muted" }, (started ?? "").replace("T", " ").slice(0, 16))),
     ...cells.map((cell) => element("td", {}, String(cell))),
     element("td", { class: "jobs" }, opens, lay));
 }
 
 async function overlay(run) {
-  reading = run;
+  loadingRun = run;
   drawRows();
   const record = run && await loaded(run);
-  if (reading !== run) return; // another one was chosen meanwhile
-  reading = null;
+  if (loadingRun !== run) return; // another one was chosen meanwhile
+  loadingRun = null;
   store.overlay = record;
   compared = "";
   $("compared").hidden = true;
@@ -94,16 +94,16 @@ async function loaded(run) {
 
 // Both runs' contacts, paired as `thigmo runs` pairs them.
 async function compare() {
-  const shown = shownRun(), other = store.overlay?.run;
-  const key = other && shown && !moves() ? `${shown} ${other}` : "";
+  const shown = shownRun(), overlaid = store.overlay?.run;
+  const key = overlaid && shown && !moves() ? `${shown} ${overlaid}` : "";
   if (key === compared) return;
   compared = key;
   $("compared").hidden = true;
   if (!key) return;
-  const pairs = await read(`${runAt(shown)}/beside/${encodeURIComponent(other)}.json`);
+  const pairs = await read(`${runAt(shown)}/beside/${encodeURIComponent(overlaid)}.json`);
   if (!pairs || pairs.problem || key !== compared) return;
   $("compared-first").textContent = shown;
-  $("compared-second").textContent = other;
+  $("compared-second").textContent = overlaid;
   $("compared-rows").replaceChildren(...pairs.map(({ first, second, distance_cm: apart }) => element("tr", {},
     element("td", {}, minus(first ?? "not found")), element("td", {}, minus(second ?? "not found")),
     element("td", {}, apart === null ? "" : `${rounded(apart, 1)} cm`))));

@@ -12,13 +12,13 @@ const PATIENCE_MS = 5000;
 const button = $("stop");
 const [word, says, robot] = button.children;
 let state = "idle", pending = false, outcome = null;
-let last_s = 0, tried = null; // when a stop was last answered, and of which run it was
+let last_s = 0, stoppedRun = null; // when a stop was last answered, and of which run it was
 
 // What one types into, and where a space is therefore no stop.
 const TYPED = "textarea, [contenteditable], input:not([type=range], [type=checkbox], [type=radio], [type=button])";
 export const typed = (target) => target instanceof Element && target.matches(TYPED);
 // Whether what was stopped was emulated, and its program has ended.
-const hasEnded = () => stopped().length > 0 && stopped().every((each) => each.confirmed_by.startsWith("the end"));
+const hasEnded = () => stopped().length > 0 && stopped().every((answer) => answer.confirmed_by.startsWith("the end"));
 // What the last stop on a page came to, if it is the one that lasts: a robot may be stopped elsewhere.
 function stopped() {
   const { page } = store;
@@ -48,8 +48,8 @@ function show(next) {
 function name() {
   const { page } = store, robots = stopped();
   if (state === "stopped" && robots.length) {
-    robot.textContent = robots.map((each) => each.robot).join(", ");
-    button.title = robots.map((each) => `${each.robot}: confirmed by ${each.confirmed_by}`).join("\n");
+    robot.textContent = robots.map((answer) => answer.robot).join(", ");
+    button.title = robots.map((answer) => `${answer.robot}: confirmed by ${answer.confirmed_by}`).join("\n");
     return;
   }
   const nobody = state === "idle" || state === "lost";
@@ -59,10 +59,10 @@ function name() {
 
 // The keys that stop now: they depend on where the focus is.
 function sayKeys() {
-  const said = WORDS[state][1];
-  says.textContent = typeof said === "string" ? said : said();
+  const hint = WORDS[state][1];
+  says.textContent = typeof hint === "string" ? hint : hint();
 }
-for (const moved of ["focusin", "focusout"]) document.addEventListener(moved, () => setTimeout(sayKeys));
+for (const kind of ["focusin", "focusout"]) document.addEventListener(kind, () => setTimeout(sayKeys));
 
 // What is known of the way to the robot: "none" while nothing runs, "lost" where nobody owns its port
 // any more, "offline" where this page has lost its server. What became of a stop is shown until the
@@ -72,7 +72,7 @@ export function stopReaches(way, page = null) {
   let next = { none: "idle", lost: "lost", offline: "lost" }[way] ?? "ready";
   if (page?.last_stop) outcome = page.last_stop;
   if (page?.latched) next = "stopped";
-  else if (state === "unconfirmed" && page && page.run?.id === tried) return;
+  else if (state === "unconfirmed" && page && page.run?.id === stoppedRun) return;
   if (state !== next) show(next);
   else {
     sayKeys(); // a field that is hidden loses the focus without an event
@@ -86,7 +86,7 @@ export const pressedHere = () => Number(sessionStorage.getItem(PRESSED));
 export async function stop() {
   if (document.body.dataset.mode === "record" || pending) return;
   pending = true;
-  tried = store.page?.run?.id;
+  stoppedRun = store.page?.run?.id;
   show("stopping");
   const end = performance.now() + PATIENCE_MS;
   let next = "lost";

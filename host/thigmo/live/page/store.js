@@ -98,8 +98,8 @@ export function hold(message) {
 // The posterior that is shown: what was measured stays in view until the next stage is swept.
 export function posterior() {
   const { posterior, state } = store.last;
-  const before = SWEEPING.includes(state?.state) && Math.abs(posterior?.length_cm - state.stage_cm) > .5;
-  return before ? null : posterior;
+  const outdated = SWEEPING.includes(state?.state) && Math.abs(posterior?.length_cm - state.stage_cm) > .5;
+  return outdated ? null : posterior;
 }
 
 // A posterior's density, 1/cm, at the middle of each of its cells: they lie end to end from the base.
@@ -121,13 +121,13 @@ function under({ places_cm, side, sweeping }, shapes) {
 // The last shape of a stage in which the body was bent the most to a side: there it was measured.
 function mostBent(shapes, side) {
   const sign = side === "right" ? -1 : 1;
-  let found = null, most = .05;
+  let shape = null, most = .05;
   for (let n = shapes.length - 1; n >= 0; n--) {
     const bent = sign * shapes[n].at(-1)[2];
-    if (bent > most) [found, most] = [shapes[n], bent];
-    else if (found && bent < most / 2) break; // that was another sweep
+    if (bent > most) [shape, most] = [shapes[n], bent];
+    else if (shape && bent < most / 2) break; // that was another sweep
   }
-  return found;
+  return shape;
 }
 
 const OLD_S = 2;
@@ -145,11 +145,11 @@ export const time = (t_s) => t_s - (store.origin ?? 0);
 export const latest = (column) => store.columns[column][index()];
 
 // How many entries of a list, in the order of their times, are of a time or before it.
-export function until(list, t, at) {
+export function until(list, t, timeOf) {
   let low = 0, high = list.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    if (at(list[middle]) <= t + 1e-9) low = middle + 1; else high = middle;
+    if (timeOf(list[middle]) <= t + 1e-9) low = middle + 1; else high = middle;
   }
   return low;
 }
@@ -159,10 +159,10 @@ export const index = () => until(store.columns[0], store.now, (t) => t) - 1;
 
 export const $ = (id) => document.getElementById(id);
 export function element(tag, attributes = {}, ...children) {
-  const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  made.append(...children);
-  return made;
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  node.append(...children);
+  return node;
 }
 const probe = document.body.appendChild(element("i", { hidden: "" }));
 // A colour of style.css as it is now, light or dark: rgb(...).

@@ -3,16 +3,16 @@
 const SPACE = "http://www.w3.org/2000/svg";
 
 export function make(tag, attributes = {}, parent = null) {
-  const made = document.createElementNS(SPACE, tag);
-  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-  parent?.append(made);
-  return made;
+  const node = document.createElementNS(SPACE, tag);
+  for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+  parent?.append(node);
+  return node;
 }
 
 export function text(parent, x, y, words, attributes = {}) {
-  const made = make("text", { x, y, "font-size": 11, fill: "var(--soft)", ...attributes }, parent);
-  made.textContent = words;
-  return made;
+  const node = make("text", { x, y, "font-size": 11, fill: "var(--soft)", ...attributes }, parent);
+  node.textContent = words;
+  return node;
 }
 
 // Redraw when the element's size changes; the last size is on the element.
@@ -35,9 +35,9 @@ export function ticks(low, high, count) {
   const raw = (high - low) / count;
   const unit = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((n) => n * unit).find((n) => n >= raw);
-  const found = [];
-  for (let n = Math.ceil(low / step - 1e-9); n * step <= high + 1e-9; n++) found.push(+(n * step).toPrecision(10));
-  return found;
+  const values = [];
+  for (let n = Math.ceil(low / step - 1e-9); n * step <= high + 1e-9; n++) values.push(+(n * step).toPrecision(10));
+  return values;
 }
 
 // A number to its digits. What lies in the middle goes to the even digit, as in the terminal's and

@@ -42,9 +42,9 @@ export function drawWords(lost) {
   const done = rounded(100 * (state?.done ?? 0), 0);
   $("done").style.width = `${done}%`;
   $("done").parentElement.setAttribute("aria-valuenow", done);
-  const any = store.columns[0].length > 0;
-  $("clock").textContent = any ? fixed(store.now, 1) : "–";
-  $("length").textContent = any ? fixed(latest(COLUMN.length), 1) : "–";
+  const hasReadings = store.columns[0].length > 0;
+  $("clock").textContent = hasReadings ? fixed(store.now, 1) : "–";
+  $("length").textContent = hasReadings ? fixed(latest(COLUMN.length), 1) : "–";
   $("phase").textContent = phase(board);
   const old = ago(age());
   $("age-fact").hidden = !old;
@@ -82,8 +82,8 @@ const clock = (at_s) => new Date(1000 * at_s).toLocaleTimeString("en-GB");
 
 // Since when the robot is stopped, and from where, as far as it was on a page.
 function stopped({ at_s, by }) {
-  const from = at_s === pressedHere() ? " from this page" : by === "this computer" ? " from another page" : by && ` from ${by}`;
-  return `Stopped${from}, ${clock(at_s)}`;
+  const place = at_s === pressedHere() ? " from this page" : by === "this computer" ? " from another page" : by && ` from ${by}`;
+  return `Stopped${place}, ${clock(at_s)}`;
 }
 
 // Who stopped last, and what came of it: it stays shown, whatever runs next.
@@ -120,11 +120,11 @@ function drawContactRows() {
   if (listed.contacts === contacts && listed.posterior === store.last.posterior) return;
   listed.contacts = contacts;
   listed.posterior = store.last.posterior;
-  const found = contacts?.contacts ?? [];
-  $("contacts-count").textContent = found.length || "";
-  $("contacts-empty").hidden = found.length > 0;
-  document.querySelector(".contacts table").hidden = !found.length;
-  $("contact-rows").replaceChildren(...found.map((contact, n) => {
+  const rows = contacts?.contacts ?? [];
+  $("contacts-count").textContent = rows.length || "";
+  $("contacts-empty").hidden = rows.length > 0;
+  document.querySelector(".contacts table").hidden = !rows.length;
+  $("contact-rows").replaceChildren(...rows.map((contact, n) => {
     const { place, along, interval, force, certainty } = contacts.words[n];
     const chip = element("span", { class: contact.status === "localized" ? "chip" : "chip ambiguous" }, unbroken(certainty));
     return element("tr", {},
@@ -139,8 +139,8 @@ function drawContactRows() {
 // Why the last sweep alone does not fix a place, beside contacts that the map is sure of.
 function drawWhy() {
   const { contacts, posterior } = store.last;
-  const sure = contacts?.contacts.some((each) => each.status === "localized");
-  const doubts = sure && posterior?.status === "ambiguous" && !posterior.sweeping;
+  const localized = contacts?.contacts.some((contact) => contact.status === "localized");
+  const doubts = localized && posterior?.status === "ambiguous" && !posterior.sweeping;
   $("contacts-why").textContent = doubts ? `The last sweep alone leaves the place open: ${posterior.message}. The map weighs every stage.` : "";
 }
 
@@ -180,15 +180,15 @@ $("events-technical").addEventListener("click", () => {
 });
 
 function entry(event) {
-  const what = element("div");
+  const body = element("div");
   // A hyphen before a number is its minus sign.
-  what.append(element("span", { class: "what" }, sentence(event.message.replaceAll(/(?<=\s)-(?=\d)/g, "−"))));
-  if (event.next) what.append(element("div", { class: "next" }, sentence(event.next)));
+  body.append(element("span", { class: "what" }, sentence(event.message.replaceAll(/(?<=\s)-(?=\d)/g, "−"))));
+  if (event.next) body.append(element("div", { class: "next" }, sentence(event.next)));
   const item = element("li", { class: `${event.severity}${technical(event) ? " detail" : ""}`, title: event.name });
   item.dataset.t = time(event.t_s);
   item.dataset.name = event.name;
   item.innerHTML = `<time>${fixed(time(event.t_s), 1)} s</time>${ICONS[event.severity] ?? ICONS.info}`;
-  item.append(what);
+  item.append(body);
   return item;
 }
 
@@ -211,20 +211,20 @@ function drawBanners(lost) {
   }
   for (const fault of board.faults) {
     if (fault === "stopped" && latched) continue;
-    const event = events.findLast((each) => each.severity === "fault" && each.name === fault);
+    const event = events.findLast((candidate) => candidate.severity === "fault" && candidate.name === fault);
     banners.push(["fault", event?.message ?? `Fault: ${fault}.`, event?.next ?? ""]);
   }
-  const { name, said, failure } = page?.started ?? {};
+  const { name, said: notice, failure } = page?.started ?? {};
   if (failure && !latched) banners.push(["fault", `${MOTIONS[name]?.[2] ?? "The run"} did not start, or ended early.`, failure]);
-  else if (said && name !== "explore") banners.push(["note", said, ""]);
+  else if (notice && name !== "explore") banners.push(["note", notice, ""]);
   if (store.dropped && performance.now() - store.droppedAt < 5000) {
     banners.push(["warning", `The charts of this page lack ${store.dropped} readings: this computer is busy.`, "The robot and its record miss none."]);
   }
   const key = JSON.stringify(banners);
   if (key === listed.banners) return;
   listed.banners = key;
-  $("banners").replaceChildren(...banners.map(([kind, what, next]) => {
-    const banner = element("div", { class: `banner ${kind}` }, element("b", {}, sentence(what)));
+  $("banners").replaceChildren(...banners.map(([kind, message, next]) => {
+    const banner = element("div", { class: `banner ${kind}` }, element("b", {}, sentence(message)));
     if (next) banner.append(element("span", { class: "next" }, sentence(next)));
     return banner;
   }));
