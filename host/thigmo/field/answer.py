@@ -25,7 +25,7 @@ from thigmo.field.hypotheses import (
     Body,
 )
 from thigmo.field.posterior import ENOUGH, Samples, Search
-from thigmo.field.readings import Errors, Floats, Readings
+from thigmo.field.readings import Errors, Floats, Indices, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
 LEAST_GAIN = 3.0
@@ -45,9 +45,10 @@ _USUAL = 1.0
 _TRACK = 25  # points
 _REFUSED = 1e-3  # smaller odds are not worth a fit's contact
 
-# Probability of a touch before the first bin, where no reading shows when it came, beyond which a
-# contact that one length alone has felt is not placed.
-_EARLY = 0.5
+# Probability of a touch before the first readings that show when it came, beyond which a contact
+# that one length alone has felt is not placed. They do where the bend is known to this share: at
+# the start of a half sweep, before that, how the body follows the pressure is not.
+_EARLY, _KNOWN = 0.5, 0.1
 
 # Share of obstacles that give way for good under a body's force: doors, loose pegs.
 _GIVES_WAY = 0.1
@@ -56,6 +57,7 @@ _NAMES = {PEG: "peg", PEGS: "two pegs", WALL: "wall"}
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
 RIVAL_WORDS = "another explanation is nearly as likely"
 EARLY_WORDS = "one length alone touched it, before the first readings that count"
+GAVE_WAY_WORDS = "one length alone touched it, until it gave way"
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,9 +319,11 @@ def _placed(
     is_peg = obstacle < samples.hypothesis.pegs
     unknowns = q[:, samples.hypothesis.unknowns_of(obstacle)]
     bends = unknowns[:, BEND if is_peg else WALL_BEND]
-    before = bends < readings.bend[np.isin(readings.stage, reached)].min()
-    if not doubt and len(lengths_cm) == 1 and weight @ before > _EARLY:
-        doubt = EARLY_WORDS
+    if not doubt and len(lengths_cm) == 1:
+        if weight @ (bends < _first_bend(readings, reached)) > _EARLY:
+            doubt = EARLY_WORDS
+        elif samples.gave_way_at is not None:
+            doubt = GAVE_WAY_WORDS
     radii = readings.radius * np.exp(unknowns[:, RADIUS])
     return FieldContact(
         length_cm=length,
@@ -353,6 +357,14 @@ def _placed(
         yield_cm=float(weight @ (samples.compliance[weighed] * np.abs(force))),
         gave_way_at=samples.gave_way_at,
     )
+
+
+def _first_bend(readings: Readings, stages: Indices) -> float:
+    """The bend from which on readings at these stages show when a touch came, 1/cm."""
+    at_stages = np.isin(readings.stage, stages)
+    if readings.response is not None:
+        at_stages &= np.abs(readings.response) <= _KNOWN * readings.bend
+    return float(np.min(readings.bend[at_stages], initial=np.inf))
 
 
 def _name(samples: Samples) -> str:

@@ -117,17 +117,22 @@ class Search:
         self.nothing = self.fit.nothing()
         self.pegs = atlas.pegs(self.fit, self.nothing)
         self.places = atlas.likeliest(self.pegs)
-        # The last bin of each stage in which what stands there still stood; -1: none.
-        stood = self.fit.standing > 0.0
-        stages = range(len(readings.stages))
-        self._peaks = [
-            int(np.flatnonzero(stood & (readings.stage == s)).max(initial=-1)) for s in stages
-        ]
+        # The bin of each stage at whose end the answer is told; -1: what stood there was gone.
+        self._peaks = [self._peak(s) for s in range(len(readings.stages))]
+
+    def _peak(self, stage: int) -> int:
+        """The last bin of a stage; of what gave way, that of the highest bend while it stood."""
+        bins = np.flatnonzero((self.fit.standing > 0.0) & (self.readings.stage == stage))
+        if self.readings.standing is not None and bins.size:
+            return int(bins[np.argmax(self.readings.bend[bins])])
+        return int(bins.max(initial=-1))
 
     def _gave_way_at(self) -> float | None:
-        if self.readings.standing is None:
+        standing = self.readings.standing
+        if standing is None:
             return None
-        return float(self.readings.bend[np.flatnonzero(self.readings.standing)[-1]])
+        whole = np.flatnonzero(standing == standing.max())
+        return float(self.readings.bend[self._peaks[self.readings.stage[whole[-1]]]])
 
     def ridges(self, known: Sequence[Mode] = (), keep: int = 2) -> list[list[Mode]]:
         """Chains of modes along the ridges of the likeliest places; `known`: of earlier sweeps."""
