@@ -379,6 +379,7 @@ class Scene(Model):
             if side not in config.sides:
                 continue
             muscle = config.muscle(side)
+            muscle.lag_se_s = max(muscle.lag_se_s, spread.lag_error * muscle.lag_s)
             muscle.lag_s *= max(1 + spread.lag_error * rng.standard_normal(), 0.1)
             for muscle_map in muscle.maps:
                 factor = 1 + spread.curvature_error * rng.standard_normal()
