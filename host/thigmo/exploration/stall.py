@@ -176,12 +176,9 @@ def stall(
             tips, lows, highs = zip(*stuck, strict=True)
             tip = float(np.mean(tips))
             interval_cm = min(lows), max(highs)
-            body = None
-            if zeros is not None:
-                everted = table.healthy & np.isfinite(zeros)
-                everted &= end + FOLD_MARGIN_CM <= length_cm[0]
-                last = np.median(bend[-_SMOOTH:], axis=0) - zeros
-                body = _stalled_body(interval_cm[1], np.where(everted, last, np.nan), table)
+            everted = table.healthy & (end + FOLD_MARGIN_CM <= length_cm[0])
+            last = np.where(everted, np.median(bend[-_SMOOTH:], axis=0), np.nan)
+            body = None if zeros is None else _stalled_body(interval_cm[1], last - zeros, table)
             return Obstruction(
                 tip, tip, interval_cm, len(nearby), 0.0, late_cm=tuple(late), body=body
             )
@@ -214,8 +211,8 @@ def _before(length_cm: Floats, reading: Floats, start: float) -> float:
 
 def _left_late(length_cm: Floats, reading: Floats, start: float, end: float) -> float:
     """By how much later than the line says the fold went past a sensor, cm."""
-    line = _before(length_cm, reading, start)
-    rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - line)
+    unfolded = _before(length_cm, reading, start)
+    rise = np.abs(median_filter(reading, _SMOOTH, mode="nearest") - unfolded)
     top = int(rise.argmax())
     low = np.flatnonzero(rise[top:] < _PASSED * rise[top])
     # It is past by half where the tip stands in the sensor's last quarter.
@@ -226,9 +223,9 @@ def _stalled(
     length_cm: Floats, reading: Floats, start: float, end: float, least: float
 ) -> tuple[float, float, float] | None:
     """(tip, low, high) of a sensor that the fold did not pass through; None if it did."""
-    line = _before(length_cm, reading, start)
+    unfolded = _before(length_cm, reading, start)
     last = float(np.median(reading[-_SMOOTH:]))
-    rise = np.abs(reading - line)
+    rise = np.abs(reading - unfolded)
     top = int(rise.argmax())
     if rise[top] < least:  # it has not reached the fold
         low, high = float(length_cm[0]), start + _ONSET_CM

@@ -121,8 +121,8 @@ def grip(rng: np.random.Generator, free: Floats) -> Loads:
     force = rng.choice([-1.0, 1.0], end.shape) * rng.uniform(0.3, 2.0, end.shape) / LENGTH**2
     slant = rng.uniform(-np.pi / 3, np.pi / 3, end.shape)
     couple = rng.uniform(-1.0, 1.0, end.shape) / LENGTH
-    mistakes = {"tangential": force * np.sin(slant), "couple": couple}
-    return Loads(end, force * np.cos(slant), end, mistakes)
+    end_loads = {"tangential": force * np.sin(slant), "couple": couple}
+    return Loads(end, force * np.cos(slant), end, end_loads)
 
 
 def couple(rng: np.random.Generator, free: Floats) -> Loads:
