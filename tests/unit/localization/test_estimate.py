@@ -451,3 +451,11 @@ def test_an_answer_is_the_same_whatever_was_answered_before():
         again = calls[k]()
         assert again.hypotheses == first[k].hypotheses
         assert again.contacts == first[k].contacts
+
+
+def test_couple_on_a_held_end_bends_the_whole_body():
+    noise = SIGMA * np.random.default_rng(5).standard_normal(10)
+    answer = find(0.01 + noise, held_end=True)
+    assert answer.hypothesis == "end wrench"
+    assert answer.bend[:, 0] == pytest.approx(np.linspace(0.0, LENGTH, len(answer.bend)))
+    assert answer.bend[:, 1] == pytest.approx(0.01, abs=4.0 * SIGMA)
