@@ -192,7 +192,7 @@ def _stalled_body(length_cm: float, curvature: Floats, table: SensorTable) -> Be
     NaN where a sensor does not tell; None if none does.
     """
     known = np.isfinite(curvature)
-    sides = [known & ((table.bend_sign == 0) | (table.bend_sign == SIGN[side])) for side in SIDES]
+    sides = [known & table.answers(SIGN[side]) for side in SIDES]
     use = max(sides, key=lambda mask: abs(float(curvature[mask].sum())))
     if not use.any():
         return None
@@ -256,7 +256,7 @@ def detect_held_bent(
     moved = new_zeros - old_zeros
     known = table.healthy & np.isfinite(moved) & np.isfinite(bend).all(axis=0)
     for way in (1, -1):
-        use = known & ((table.bend_sign == 0) | (table.bend_sign == way))
+        use = known & table.answers(way)
         count = int(use.sum())
         if count == 0:
             continue
