@@ -243,6 +243,26 @@ def _robots(studies: list[dict[str, Any]]) -> list[Grid]:
     return [Grid(tuple(head for head, _, _ in columns), rows)]
 
 
+_MAP_COLUMNS = (
+    ("map given", "map", ""), ("rooms", "rooms", ""), ("runs aborted", "aborted", ""),
+    ("contacts", "touched", ""), ("missed", "touched_missed", ""),
+    ("found without it alone", "lost", ""), ("false", "false", ""),
+    ("localized", "localized", ""), ("localized wrong", "wrong", ""),
+    ("mean error in the plane, cm", "error_cm", ".2f"), ("less that without", "more_cm", ".2f"),
+    ("its standard error", "more_se_cm", ".2f"), ("robot time, s", "time_s", ".0f"),
+    ("over that without", "time_share", ".2f"),
+)  # fmt: skip
+
+
+def _maps(studies: list[dict[str, Any]]) -> list[Grid]:
+    """A row a map that was given."""
+    (study,) = studies
+    rows = [
+        tuple(f"{row[key]:{digits}}" for _, key, digits in _MAP_COLUMNS) for row in study["rows"]
+    ]
+    return [Grid(tuple(head for head, _, _ in _MAP_COLUMNS), rows)]
+
+
 def _notes(study: dict[str, Any]) -> list[Row]:
     return [(*note.rsplit(": ", 1), "") for note in study["notes"]]
 
@@ -451,6 +471,7 @@ OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
 }
 GRIDS: dict[str, Callable[[Any], list[Grid]]] = {
     "exploration": _explored_rooms,
+    "maps": _maps,
     "robots": _robots,
     "gallery": _robots,
     "accuracy": _accuracy,
@@ -505,6 +526,7 @@ SOURCES: dict[str, Source] = {
             "exploration": {
                 "exploration-explorations.png": "explorations.png",
             },
+            "maps": {},
             "robots": {},
             "gallery": {},
             "plant-models": {"plant-models-ladder.png": "ladder.png"},

@@ -54,7 +54,15 @@ def summary(rows: list[Row]) -> str:
     sums = " and ".join(f"{amount:.2f} {unit}" for unit, amount in sorted(totals(rows).items()))
     text = f"{len(priced)} of {len(rows)} rows have a price: together {sums}, without tax and "
     text += f"shipping, by prices of {days[0]} to {days[-1]}. "
-    return text + f"Rows without a price: {missing}; printed: {printed}."
+    return f"{text}Rows without a price: {missing}; printed: {printed}. {_without_order(rows)}"
+
+
+def _without_order(rows: list[Row]) -> str:
+    """The rows that have neither an order number nor a file to print, in a sentence."""
+    refs = [row["ref"] for row in rows if not row["order"] and row["price"] != PRINTED]
+    if not refs:
+        return "Every row that is not printed has an order number."
+    return f"Rows without an order number ({len(refs)}): {', '.join(refs)}."
 
 
 def page() -> str:

@@ -129,6 +129,8 @@ def looked_back_at(browser: Browser, run: Path) -> None:
         page = opened(browser, address, "watch")
         page.wait_for_function("() => thigmo.store.columns[0].length > 0")
         page.wait_for_function("() => document.querySelector('#room image')")
+        # Where this computer keeps its runs is nobody's business.
+        page.evaluate(f"document.getElementById('result-folder').textContent = 'runs/{run.name}'")
         keep(page, "watch-record")
 
 

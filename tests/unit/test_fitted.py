@@ -16,6 +16,7 @@ from thigmo.exploration.stage import Interpreter
 from thigmo.exploration.stall import Obstruction
 from thigmo.field import FieldContact
 from thigmo.field.answer import UNEXPLAINED_WORDS
+from thigmo.record import Ellipse, Obstacle
 from thigmo.robot import ContactTrigger, Peak, SweepFrame, SweepResult
 from thigmo.wiring import Wiring
 
@@ -137,6 +138,23 @@ def test_a_side_that_feels_nothing_new_is_not_measured(fits: Fits) -> None:
     interpreter.take(longer, 2)
     assert interpreter.felt_sides(longer) == {"left"}
     assert interpreter.placed_sides(longer) == set()
+
+
+def test_a_contact_that_is_localized_where_the_map_has_an_obstacle_is_not_measured(
+    fits: Fits,
+) -> None:
+    fits.answers = [a_fit(45.0, width_cm=6.0)]
+    (contact,) = _mapped(fits, *fits.answers).contacts
+    covariance = ((0.1, 0.0), (0.0, 0.1))
+    mapped = Obstacle(
+        contact.x_cm, contact.y_cm, covariance, Ellipse.of(covariance),
+        [(contact.x_cm, contact.y_cm)], "felt", "localized", normal_rad=0.0,
+    )  # fmt: skip
+    elsewhere = replace(mapped, x_cm=contact.x_cm - 20.0, track=[(contact.x_cm - 20.0, 0.0)])
+    for obstacle, placed in ((mapped, {"left"}), (elsewhere, set())):
+        interpreter, sweep = Interpreter(Wiring.laid_out(CONFIG), [obstacle]), _sweep()
+        interpreter.take(sweep, 2)
+        assert interpreter.placed_sides(sweep) == placed
 
 
 def test_a_side_whose_trigger_fired_is_unsure_until_the_fit_knows_a_contact(fits: Fits) -> None:

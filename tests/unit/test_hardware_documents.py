@@ -189,18 +189,19 @@ def test_each_part_has_an_order_number_and_a_dated_price_or_says_that_none_was_f
 
 def test_the_total_is_that_of_the_rows_and_counts_what_it_leaves_out() -> None:
     tool = runpy.run_path(str(ROOT / "tools/parts.py"))
-    row = {"count": "3", "price": "0.10 USD", "dated": "2026-09-22"}
+    row = {"ref": "D1", "order": "1N4148", "count": "3", "price": "0.10 USD", "dated": "2026-09-22"}
     rows = [
         row,
         {**row, "count": "2", "price": "1.97 PLN", "dated": "2025-04"},
         {**row, "count": "1", "price": "0.25 USD", "dated": ""},
-        {**row, "price": tool["NO_PRICE"], "dated": ""},
-        {**row, "price": tool["PRINTED"], "dated": ""},
+        {**row, "ref": "H1", "order": "", "price": tool["NO_PRICE"], "dated": ""},
+        {**row, "ref": "H2", "order": "", "price": tool["PRINTED"], "dated": ""},
     ]
     text = tool["summary"](rows)
     assert text.startswith("3 of 5 rows have a price: together 3.94 PLN and 0.55 USD,")
     assert "by prices of 2025-04 to 2026-09-22" in text
-    assert text.endswith("Rows without a price: 1; printed: 1.")
+    assert "Rows without a price: 1; printed: 1." in text
+    assert text.endswith("Rows without an order number (1): H1.")
 
 
 def test_the_page_of_parts_shows_every_row_below_its_total(

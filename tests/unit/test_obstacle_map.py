@@ -16,7 +16,7 @@ from PIL import Image
 from thigmo.config import RobotConfig
 from thigmo.errors import RunFolderError
 from thigmo.exploration.obstacles import SIGMAS, export_obstacles, occupancy
-from thigmo.exploration.prior import boost, match, read_prior, within_reach
+from thigmo.exploration.prior import KnownPlaces, match, read_prior, within_reach
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.workspace import Bend, centreline, place_contact, ramp_knots
 from thigmo.record import (
@@ -376,7 +376,7 @@ def test_a_map_makes_no_contact_likelier_than_it_is_without(count: int) -> None:
         replace(_known(_contact())[0], x_cm=float(x), y_cm=RADIUS, covariance_cm2=point)
         for x in touched
     ]
-    density = boost(prior, skin, 53.0)
+    density = KnownPlaces(prior).boost(skin, 53.0)
     assert density.mean() == pytest.approx(1.0, abs=0.01)
     assert density.min() == pytest.approx(0.5, abs=0.01)
 

@@ -117,7 +117,11 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
     bad, warned = (
         [f"{f.part}: {f.text}" for f in findings if f.mark == mark] for mark in ("bad", "warning")
     )
-    first, *notes = [*(bad or ["the robot is as robot.toml says"]), *warned]
+    fine = "the robot is as robot.toml says"
+    if warned:
+        count = f"{len(warned)} warning{'s' if len(warned) > 1 else ''}"
+        fine = f"the robot can be used, with {count}"
+    first, *notes = [*(bad or [fine]), *warned]
     return CheckResult(tuple(findings), Verdict(not bad, first, tuple(notes)))
 
 

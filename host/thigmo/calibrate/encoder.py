@@ -72,7 +72,10 @@ def fit_encoder(
         rows = listed(names, np.flatnonzero(missing).tolist())
         notes.append(f"omitted {rows}: no counts, or the camera lost the tip")
     if (~missing).sum() < 4 or np.ptp(length_cm[np.isfinite(length_cm)]) < 5:
-        raise DataError("four or more lengths over 5 cm or more are needed", "grow in steps")
+        raise DataError(
+            "four or more lengths over 5 cm or more are needed",
+            "`thigmo retract` the robot and run this again; give a CSV more rows",
+        )
     # Counts are exact and the camera is not, so length is fitted over counts, then inverted.
     ones = np.ones(len(counts))
     tip_se = TIP_SE * config.body.length_cm

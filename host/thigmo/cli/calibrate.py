@@ -22,8 +22,18 @@ if TYPE_CHECKING:
     from thigmo.robot import Robot
 
 
+def _steps(begun: str) -> list[str]:
+    """Steps for the shell to complete."""
+    from thigmo.calibrate.steps import STEPS
+
+    return [step for step in ("all", "status", *STEPS) if step.startswith(begun)]
+
+
 def calibrate(
-    step: Annotated[str, typer.Argument(help="all, status, or one of the steps above.")],
+    step: Annotated[
+        str,
+        typer.Argument(help="all, status, or one of the steps above.", autocompletion=_steps),
+    ],
     robot: AnyRobotOption = None,
     folder: Annotated[Path, typer.Option(help="Calibration folder.")] = Path("calibration"),
     csv: Annotated[

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from thigmo.config import SAME_LENGTH_CM, SIGN, Side
 from thigmo.contact_status import SURE, narrow
-from thigmo.exploration.prior import boost, match
+from thigmo.exploration.prior import KnownPlaces, match
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
 from thigmo.record import Explanation, MapContact, Obstacle
 from thigmo.robot import SweepResult
@@ -56,6 +56,7 @@ class SideFits:
     def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
         config = wiring.config
         self._wiring, self._config, self._prior = wiring, config, prior
+        self._known_places = KnownPlaces(prior)
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(
@@ -90,7 +91,7 @@ class SideFits:
 
             def expected(points: Floats) -> Floats:
                 mirrored = points * [1.0, SIGN[side]]
-                return boost(self._prior, mirrored, self._config.body.length_cm)
+                return self._known_places.boost(mirrored, self._config.body.length_cm)
 
         side_contacts = contacts(*prepared, self._atlas, expected=expected)
         model = f"by {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''}"

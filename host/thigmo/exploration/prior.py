@@ -35,44 +35,68 @@ from thigmo.robot.curvature import Floats
 # the two runs' shapes err.
 _FLOOR_CM = 1.5
 _SAME_SIGMA = 3.0
+_FAR_SIGMA = 9.0  # exp(-0.5 * 9**2) is below the resolution of a double at 1
 
 
-def boost(prior: Sequence[Obstacle], points: Floats, length_cm: float) -> Floats:
-    """Prior density of a contact at points of the skin, (n, 2) in cm, relative to no map.
+class KnownPlaces:
+    """Where the obstacles of a map are, with their errors, prepared once for every fit of a run."""
 
-    Without a map a contact is equally likely anywhere on a body of `length_cm`. The known obstacles
-    together are as likely as a new one, so the mean over the arc is about 1: a map makes no contact
-    likelier as a whole.
-    """
-    peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi)) / max(len(prior), 1)
-    value = np.ones(len(points))
-    for obstacle in prior:
-        value += peak * np.exp(-0.5 * _squared(obstacle, points, np.zeros((2, 2))))
-    return 0.5 * value if prior else value
+    def __init__(self, prior: Sequence[Obstacle]) -> None:
+        from scipy.spatial import KDTree
+
+        self._whiteners = []  # of points, (2, 2) each: to distances in standard deviations
+        self._trees = []  # of each obstacle's whitened places
+        for obstacle in prior:
+            places, covariance = _places(obstacle)
+            whitener = _whitener(covariance)
+            self._whiteners.append(whitener)
+            self._trees.append(KDTree(places @ whitener))
+
+    def boost(self, points: Floats, length_cm: float) -> Floats:
+        """Prior density of a contact at points of the skin, (n, 2) in cm, relative to no map.
+
+        Without a map a contact is equally likely anywhere on a body of `length_cm`. The known
+        obstacles together are as likely as a new one, so the mean over the arc is about 1: a map
+        makes no contact likelier as a whole.
+        """
+        value = np.ones(len(points))
+        if not self._trees:
+            return value
+        peak = length_cm / (_FLOOR_CM * np.sqrt(2 * np.pi)) / len(self._trees)
+        for tree, whitener in zip(self._trees, self._whiteners, strict=True):
+            # An obstacle beyond so many standard deviations adds nothing to a double of 1.
+            distance, _ = tree.query(points @ whitener, distance_upper_bound=_FAR_SIGMA)
+            value += peak * np.exp(-0.5 * np.asarray(distance) ** 2)
+        return 0.5 * value
 
 
 def match(prior: Sequence[Obstacle], contact: MapContact) -> int | None:
     """Index of the expected obstacle that a contact is, or None for a new one."""
     if contact.status == POINT_ESTIMATE:
         return None
-    point = np.array([[contact.x_cm, contact.y_cm]])
-    covariance = np.asarray(contact.covariance_cm2)
-    apart = [float(_squared(o, point, covariance)[0]) for o in prior]
+    point = np.array([contact.x_cm, contact.y_cm])
+    error = np.asarray(contact.covariance_cm2)
+    apart = []
+    for obstacle in prior:
+        places, covariance = _places(obstacle)
+        away = (places - point) @ _whitener(covariance + error)
+        apart.append(float((away**2).sum(axis=1).min()))
     return int(np.argmin(apart)) if apart and min(apart) <= _SAME_SIGMA**2 else None
 
 
-def _squared(obstacle: Obstacle, points: Floats, covariance: Floats) -> Floats:
-    """Squared distance of points from an obstacle, in standard deviations."""
-    from scipy.spatial import KDTree
+def _places(obstacle: Obstacle) -> tuple[Floats, Floats]:
+    """The places (n, 2) where an obstacle may be touched, cm, and their covariance, cm^2."""
+    covariance = _FLOOR_CM**2 * np.eye(2)
+    if obstacle.normal_rad is None:
+        return np.asarray(obstacle.track), covariance
+    # A contact: a point with its covariance.
+    point = np.array([[obstacle.x_cm, obstacle.y_cm]])
+    return point, covariance + np.asarray(obstacle.covariance_cm2)
 
-    total = covariance + _FLOOR_CM**2 * np.eye(2)
-    places = np.asarray(obstacle.track)
-    if obstacle.normal_rad is not None:  # a contact: a point with its covariance
-        places = np.array([[obstacle.x_cm, obstacle.y_cm]])
-        total = total + np.asarray(obstacle.covariance_cm2)
-    whitened = np.linalg.inv(np.linalg.cholesky(total)).T  # distances in standard deviations
-    distance, _ = KDTree(places @ whitened).query(points @ whitened)
-    return np.asarray(distance) ** 2
+
+def _whitener(covariance: Floats) -> Floats:
+    """(2, 2) by which points are multiplied, for distances in standard deviations."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T)
 
 
 def read_prior(path: str | os.PathLike[str]) -> list[Obstacle]:

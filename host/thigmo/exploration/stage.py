@@ -117,9 +117,12 @@ class Interpreter:
         }
 
     def _well_placed(self, contact: MapContact) -> bool:
+        if contact.status != "localized":
+            return False
+        if contact.known is not None:  # felt where the map has it
+            return True
         low, high = contact.interval_cm
-        narrow = high - low <= ENOUGH * self._config.body.diameter_cm
-        return contact.status == "localized" and narrow
+        return high - low <= ENOUGH * self._config.body.diameter_cm
 
     def localize(
         self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int

@@ -15,6 +15,7 @@ class Answer:
     number: list[float]
     discarded: int
     end_open: bool
+    number_open: bool
     noise: float
     log_odds: float
     log_evidence: float

@@ -39,7 +39,8 @@ struct Answer {
   // one number for each of the body's two directions.
   Row bend;
   int discarded = -1;
-  bool end_open = false;  // only the end, which something may hold, leaves a place open
+  bool end_open = false;     // only the end, which something may hold, leaves a place open
+  bool number_open = false;  // only another number of contacts leaves a place open
   double noise = 0.0, log_odds = 0.0;
   double log_evidence = 0.0;  // of the readings, in the caller's unit
   // Probability of each mistake, and of a noise larger than stated.
@@ -68,15 +69,16 @@ class Mixture {
  public:
   Row edges, mass, force, spread;  // of each cell its mass; force there, and standard deviation
 
-  // The mass in each cell of one grid.
+  // The mass in each cell of one grid, by hypotheses of this number of contacts.
   struct Part {
     const Cells* cells;
+    std::size_t number;
     std::vector<Moments> moments;
   };
   Mixture(const std::vector<Part>& parts, Window within) {
     edges.reserve(parts.empty() ? 2 : parts[0].moments.size() + 3);
     edges.push_back(within.near);
-    for (const auto& [cells, moments] : parts) {
+    for (const auto& [cells, number, moments] : parts) {
       const auto earlier = static_cast<std::ptrdiff_t>(edges.size());
       for (const double place : cells->place) add_edge(place - 0.5 * cells->width, within);
       add_edge(cells->place.back() + 0.5 * cells->width, within);
@@ -89,12 +91,17 @@ class Mixture {
     edges.back() = within.far;
     const std::size_t count = edges.size() - 1;
     std::vector<Moments> all(count);
-    for (const auto& [cells, moments] : parts) {
+    for (const auto& [cells, number, moments] : parts) {
+      Row& by_number = by_number_[number];
+      by_number.resize(count);
       const double near = cells->place.front() - 0.5 * cells->width, per = 1.0 / cells->width;
       for (std::size_t c = 0; c < count; ++c) {
         const double cell = (0.5 * (edges[c] + edges[c + 1]) - near) * per;
         if (cell < 0.0 || cell >= static_cast<double>(moments.size())) continue;
-        all[c].add((edges[c + 1] - edges[c]) * per, moments[static_cast<std::size_t>(cell)]);
+        const double share = (edges[c + 1] - edges[c]) * per;
+        const Moments& there = moments[static_cast<std::size_t>(cell)];
+        all[c].add(share, there);
+        by_number[c] += share * there.mass;
       }
     }
     double total = 0.0;
@@ -128,29 +135,27 @@ class Mixture {
   }
 
   // Intervals of the highest-density set that holds a share of the mass, ascending: all cells at
-  // least as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)). Where
-  // another grid's edge cuts a cell in two, the densities of its halves differ by rounding only.
+  // least as dense as the one that completes the share (Hyndman, Am. Stat. 50 (1996)).
   std::vector<std::pair<double, double>> densest(double share) const {
-    Row density = mass;
-    const int count = static_cast<int>(density.size());
-    for (int c = 0; c < count; ++c) density[c] /= edges[c + 1] - edges[c];
-    std::vector<int> order(count);
-    std::iota(order.begin(), order.end(), 0);
-    std::sort(order.begin(), order.end(), [&](int a, int b) { return density[a] > density[b]; });
-    double held = 0.0, least = 0.0;
-    for (int k = 0; k < count && held < share * (1.0 - 1e-12); ++k) {
-      held += mass[order[k]], least = (1.0 - 1e-9) * density[order[k]];
+    return densest_by(mass, {mass}, share);
+  }
+
+  // The same, so that it also holds the share of the mass of each number of contacts that is
+  // likelier than `excluded`; these weigh equally in it. Two contacts near each other load a body
+  // nearly as one between them does, and one is likelier beforehand: the densest places of all
+  // would be that one's, and neither of the two.
+  std::vector<std::pair<double, double>> densest_by_number(double share, double excluded) const {
+    std::vector<Row> masses{mass};
+    Row weight(mass.size());
+    double all = 0.0;
+    for (const Row& by_number : by_number_) all += sum(by_number);
+    for (const Row& by_number : by_number_) {
+      const double total = sum(by_number);
+      if (total <= excluded * all) continue;
+      masses.push_back(by_number);
+      for (std::size_t c = 0; c < weight.size(); ++c) weight[c] += by_number[c] / total;
     }
-    std::vector<std::pair<double, double>> pieces;
-    for (int c = 0; c < count; ++c) {
-      if (density[c] < least) continue;
-      if (!pieces.empty() && pieces.back().second == edges[c]) {
-        pieces.back().second = edges[c + 1];
-      } else {
-        pieces.emplace_back(edges[c], edges[c + 1]);
-      }
-    }
-    return pieces;
+    return masses.size() > 2 ? densest_by(weight, masses, share) : densest(share);
   }
 
   // Median within the interval of the highest-density set that holds most mass.
@@ -176,6 +181,42 @@ class Mixture {
   }
 
  private:
+  static double sum(const Row& row) { return std::accumulate(row.begin(), row.end(), 0.0); }
+
+  // The cells that are densest by `weight`, until they hold the share of each of these masses.
+  // Where another grid's edge cuts a cell in two, the densities of its halves differ by rounding
+  // only.
+  std::vector<std::pair<double, double>> densest_by(const Row& weight,
+                                                    const std::vector<Row>& masses,
+                                                    double share) const {
+    Row density = weight;
+    const std::size_t count = density.size();
+    for (std::size_t c = 0; c < count; ++c) density[c] /= edges[c + 1] - edges[c];
+    std::vector<std::size_t> order(count);
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::sort(order.begin(), order.end(),
+              [&](std::size_t a, std::size_t b) { return density[a] > density[b]; });
+    double least = INFINITY;
+    for (const Row& part : masses) {
+      const double enough = share * (1.0 - 1e-12) * sum(part);
+      double held = 0.0, last = INFINITY;
+      for (std::size_t k = 0; k < count && held < enough; ++k) {
+        held += part[order[k]], last = (1.0 - 1e-9) * density[order[k]];
+      }
+      least = std::min(least, last);
+    }
+    std::vector<std::pair<double, double>> pieces;
+    for (std::size_t c = 0; c < count; ++c) {
+      if (density[c] < least) continue;
+      if (!pieces.empty() && pieces.back().second == edges[c]) {
+        pieces.back().second = edges[c + 1];
+      } else {
+        pieces.emplace_back(edges[c], edges[c + 1]);
+      }
+    }
+    return pieces;
+  }
+
   // Mass below an edge.
   double below(double edge) const {
     double sum = 0.0;
@@ -185,6 +226,8 @@ class Mixture {
   void add_edge(double edge, Window within) {
     if (edge > within.near && edge < within.far) edges.push_back(edge);
   }
+
+  std::array<Row, kMostContacts + 1> by_number_;  // mass by hypotheses of each number, not scaled
 };
 
 // The posterior over hypotheses: how many contacts there are, and where they lie.
@@ -224,8 +267,10 @@ class Posterior {
       const auto& [contacts, sets] = h.shares;
       std::array<std::size_t, kMostContacts> part;  // of each contact
       for (std::size_t j = 0; j < contacts.size(); ++j) {
-        if (parts.empty() || contacts[j] != *parts.back().cells) {
-          parts.push_back({&contacts[j], std::vector<Moments>(contacts[j].place.size())});
+        if (parts.empty() || parts.back().number != contacts.size() ||
+            contacts[j] != *parts.back().cells) {
+          parts.push_back(
+              {&contacts[j], contacts.size(), std::vector<Moments>(contacts[j].place.size())});
         }
         part[j] = parts.size() - 1;
       }
@@ -393,21 +438,24 @@ inline void conclude(Weighing& weighing, const Options& options, Answer& out) {
     contact.arc = medians[j];
     contact.probability = present[j];
     Mixture mixture = nearest_to(contact.arc);
-    contact.pieces = mixture.densest(priors.level);
     // The median of all mass can lie where there is hardly any: a less likely place far away, such
     // as the end, draws it there.
-    if (count == 1 && contact.pieces.size() > 1) {
+    if (count == 1 && mixture.densest(priors.level).size() > 1) {
       contact.arc = mixture.median_of_piece(priors.level);
       mixture = nearest_to(contact.arc);
-      contact.pieces = mixture.densest(priors.level);
     }
+    contact.pieces = mixture.densest_by_number(priors.level, priors.excluded);
     contact.low = contact.pieces.front().first;
     contact.high = contact.pieces.back().second;
     contact.force = mixture.force[mixture.cell(contact.arc)];
-    const bool placed = sure && (asked || contact.probability > 1.0 - priors.excluded) &&
-                        contact.high - contact.low <= options.width_limit;
+    const bool there = sure && (asked || contact.probability > 1.0 - priors.excluded);
+    const bool placed = there && contact.high - contact.low <= options.width_limit;
     contact.localized = placed && (!perhaps || contact.arc >= kNearEnd);
     out.end_open |= placed && !contact.localized;
+    if (there && !placed) {
+      const auto of_all = mixture.densest(priors.level);
+      out.number_open |= of_all.back().second - of_all.front().first <= options.width_limit;
+    }
     if (contact.arc >= 1.0 - priors.end_cell) {  // on the end: where, says its likeliest load
       double heaviest = 0.0;
       for (std::size_t k = 0; k < out.hypotheses.size(); ++k) {

@@ -177,6 +177,7 @@ class BatchResult:
             message(
                 status[row], int(count[row]), number[row].tolist(), float(numbers["touched"][row]),
                 end_open=bool(numbers["end_open"][row]),
+                number_open=bool(numbers["number_open"][row]),
                 discarded=bool(numbers["discarded"][row] >= 0.0),
                 kinked=float(numbers["kinked"][row]), freedom=int(freedom[row]),
                 looks=remarks(
@@ -203,5 +204,6 @@ _NUMBER = ("none", "one", "two", "three")
 # In the order in which module.cpp writes them.
 _OF_ROW = (
     "status", "count", "problem", "shows", "touched", "log_odds", "discarded", "noise", "end_open",
-    "kinked", "misfit", "freedom", "correlation", "log_evidence", *_NUMBER, *MISTAKES,
+    "number_open", "kinked", "misfit", "freedom", "correlation", "log_evidence", *_NUMBER,
+    *MISTAKES,
 )  # fmt: skip

@@ -359,9 +359,9 @@ def localize(
         >>> position = [5, 15, 25, 35, 45]
         >>> reading = [0.0059, 0.0042, 0.0021, 0.0006, 0.0]
         >>> thigmo.localize(reading, position, length=53, span=5.5, noise=6e-4)
-        LocalizeResult(ambiguous, one contact: arc 38.42, 29.15 to 49.47; body of 53)
-        >>> thigmo.localize(reading, position, length=53, span=5.5, noise=1e-4).contacts[0].status
-        'localized'
+        LocalizeResult(ambiguous, one contact: arc 38.42, 28.71 to 50.35; body of 53)
+        >>> thigmo.localize(reading, position, length=53, span=5.5, noise=1e-4, contacts=1)
+        LocalizeResult(localized, one contact: arc 37.76, 36.11 to 39.31; body of 53)
     """
     localizer = Localizer.of(position=position, length=length, **options)
     return localizer.localize(

@@ -45,7 +45,7 @@ std::string name_of(const Hypothesis& hypothesis) {
 }
 
 // Numbers of many answers: of each row, and of each of its contacts.
-constexpr std::size_t kOfRow = 27, kContacts = 3, kOfContact = 6;
+constexpr std::size_t kOfRow = 28, kContacts = 3, kOfContact = 6;
 
 // Write them in the order in which batch.py names them.
 void write(const Answer& answer, double length, double* row, double* contact) {
@@ -58,6 +58,7 @@ void write(const Answer& answer, double length, double* row, double* contact) {
                           static_cast<double>(answer.discarded),
                           answer.noise,
                           static_cast<double>(answer.end_open),
+                          static_cast<double>(answer.number_open),
                           answer.kinked,
                           answer.misfit,
                           static_cast<double>(answer.freedom),
@@ -108,6 +109,7 @@ NB_MODULE(_posterior, m) {
       .def_ro("number", &Answer::number)
       .def_ro("discarded", &Answer::discarded)
       .def_ro("end_open", &Answer::end_open)
+      .def_ro("number_open", &Answer::number_open)
       .def_ro("noise", &Answer::noise)
       .def_ro("log_odds", &Answer::log_odds)
       .def_ro("log_evidence", &Answer::log_evidence)

@@ -46,9 +46,9 @@ class Contact:
         status: `localized` (the interval is no wider than the limit, and the probability that there
             is a contact is at least 95 %, whatever the number of contacts), `ambiguous`, or
             `point estimate` (the method "thesis" gives no error).
-        intervals: 95 % highest-density set of the place of the contact nearest to `arc`, whatever
-            the number of contacts. It has several pieces if the posterior has several modes, and
-            none for a `point estimate`.
+        intervals: densest set of places that holds the contact nearest to `arc` with 95 %, over all
+            numbers of contacts and for each number that is likelier than 5 %. It has several pieces
+            if the posterior has several modes, and none for a `point estimate`.
         force_deviation: posterior standard deviation of the force over all of `intervals`.
         probability: probability that a contact lies nearer to `arc` than to the arc of any other
             listed contact; NaN for a `point estimate`.
@@ -242,6 +242,7 @@ class LocalizeResult:
                 answer.number,
                 answer.touched,
                 end_open=answer.end_open,
+                number_open=answer.number_open,
                 discarded=answer.discarded >= 0,
                 kinked=answer.kinked,
                 freedom=answer.freedom,
@@ -417,7 +418,8 @@ class LocalizeResult:
 
 def message(
     status: ContactStatus, count: int, number: Sequence[float], touched: float, *,
-    end_open: bool, discarded: bool, kinked: float, freedom: int, looks: Sequence[str],
+    end_open: bool, number_open: bool, discarded: bool, kinked: float, freedom: int,
+    looks: Sequence[str],
 ) -> str:  # fmt: skip
     """One sentence for the operator.
 
@@ -427,6 +429,7 @@ def message(
         number: (4,) probabilities of each number of contacts.
         touched: probability of any contact.
         end_open: whether only what may hold the end leaves a place open.
+        number_open: whether only another number of contacts leaves a place open.
         discarded: whether a reading is taken for bad.
         kinked: probability of a kink or a fold.
         freedom: how many readings there are beyond the numbers of the likeliest explanation.
@@ -454,6 +457,11 @@ def message(
         return f"a contact has probability {touched:.2f}; {likely_count}{more}"
     if end_open:
         return f"something may hold the end: give held_end; {likely_count}{more}"
+    if number_open:
+        return (
+            "another number of contacts would lie elsewhere: give `contacts` if you know it; "
+            f"{likely_count}{more}"
+        )
     if freedom <= 0:
         return f"{UNCHECKED}; {likely_count}{more}"
     return f"several places explain the readings, and the intervals hold them; {likely_count}{more}"

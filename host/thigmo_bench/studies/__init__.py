@@ -22,6 +22,7 @@ STUDIES: dict[str, str] = {
     "camera": "errors of the overhead camera over painted rooms",
     "field": "the fit to whole sweeps, by sweeps of an independent rod",
     "exploration": "pegs found, empty rooms silent, maps true; calibrated or not",
+    "maps": "a given map: true, stale or none; error, robot time, contacts",
     "robots": "other robots by description: 30 to 200 cm, one muscle",
     "gallery": "docs/robots: explored or pushed, beside what check says",
     "faults": "single failures: what notices them, how soon, what it costs",

@@ -7,6 +7,7 @@ time of `thigmo.explore`, so they are left out. Sweeps, contacts, maps and robot
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +19,7 @@ from thigmo.exploration import ExplorationResult
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, Planner
 from thigmo.exploration.methods import FIELD
 from thigmo.exploration.run import Exploration, Protocol
-from thigmo.record import RunDocument, RunFolder
+from thigmo.record import Obstacle, RunDocument, RunFolder
 from thigmo.robot import connect
 from thigmo.version import VERSION
 from thigmo.wiring import Wiring
@@ -34,11 +35,13 @@ def explored(
     effort: Effort = EFFORTS["default"],
     method: str = FIELD,
     frames: bool = False,
+    prior: Sequence[Obstacle] = (),
 ) -> ExplorationResult:
     """Explore an emulated room.
 
     The host uses `config`, or the constants that the robot's lab would know. `protocol`, `effort`
     and `method` are those of `thigmo.explore`. `frames` records raw frames, for `recorded_sweeps`.
+    `prior` holds the obstacles of the map that the run is given.
 
     Raises:
         ThigmoError: the exploration was aborted.
@@ -65,6 +68,7 @@ def explored(
                 lambda doing, share: None,
                 planner,
                 protocol,
+                prior,
             )
             run.run()
         time = round(robot.elapsed_s, 3)

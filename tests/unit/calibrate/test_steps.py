@@ -320,6 +320,15 @@ def test_check_passes_a_sound_robot():
     assert result.verdict.good, result.verdict
 
 
+def test_a_check_with_warnings_says_so():
+    config = RobotConfig()
+    sound = whole(config)
+    bends = {side: 0.75 * bend for side, bend in sound.camera_bend.items()}
+    checked = run_check(replace(sound, camera_bend=bends), config)
+    assert checked.verdict.good
+    assert checked.verdict.reason.startswith("the robot can be used, with ")
+
+
 def test_check_names_each_fault():
     config = RobotConfig()
     sound = whole(config)

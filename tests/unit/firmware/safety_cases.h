@@ -196,6 +196,11 @@ TEST(a_leaky_count_is_full_after_bad_samples_in_a_row_or_a_share_of_them) {
   for (int i = 0; i < 400; ++i) count.add(false, 100);
   for (int i = 0; i < 99; ++i) count.add(true, 100);
   CHECK(!count.full(100));
+  Count heavy;  // no weight takes it beyond the limit
+  for (int i = 0; i < 4; ++i) heavy.add(true, 100, 30);
+  CHECK(heavy.full(100));
+  heavy.add(false, 100);
+  CHECK(!heavy.full(100));
 }
 
 TEST(outputs_that_something_disturbs_are_written_anew_within_three_periods) {
