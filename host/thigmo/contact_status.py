@@ -10,6 +10,8 @@ POINT_ESTIMATE: Literal["point estimate"] = "point estimate"
 LIKELY, SURE = 0.5, 0.95
 # A contact is localized if its interval is no wider than this share of the length: 10 cm of 53.
 WIDTH_SHARE = 10.0 / 53.0
+# Contacts of two runs that are at most so far apart are taken for one.
+SAME_CONTACT_CM = 4.0
 
 
 def narrow(interval: tuple[float, float], length: float) -> bool:

@@ -16,6 +16,7 @@ from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
 TABLE = SensorTable.laid_out(Wiring.laid_out(CONFIG))
+UNKNOWN = np.full(10, np.nan)  # zeros of sensors that were never zeroed
 
 
 def _growth(start: float, stop: float, tip: float = 99.0, seed: int = 0) -> tuple[Floats, Floats]:
@@ -35,7 +36,7 @@ def _growth(start: float, stop: float, tip: float = 99.0, seed: int = 0) -> tupl
 
 @given(st.integers(0, 4), st.integers(0, 2**31))
 def test_a_growth_that_went_well_is_no_stall(pitch: int, seed: int) -> None:
-    assert stall(*_growth(10.0 * pitch, 10.0 * pitch + 10, seed=seed), TABLE) is None
+    assert stall(*_growth(10.0 * pitch, 10.0 * pitch + 10, seed=seed), TABLE, UNKNOWN) is None
 
 
 @given(st.floats(33.5, 36.0), st.integers(0, 2**31))
@@ -43,7 +44,7 @@ def test_a_growth_that_went_well_is_no_stall(pitch: int, seed: int) -> None:
 def test_a_tip_that_stalls_within_a_sensor_is_placed_within_a_centimetre(
     tip: float, seed: int
 ) -> None:
-    obstruction = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
+    obstruction = stall(*_growth(30.0, 40.0, tip, seed), TABLE, UNKNOWN)
     assert obstruction is not None
     assert obstruction.sensors == 2
     assert obstruction.arc_cm == pytest.approx(tip, abs=1.0)
@@ -52,7 +53,7 @@ def test_a_tip_that_stalls_within_a_sensor_is_placed_within_a_centimetre(
 
 @given(st.floats(30.2, 32.5), st.integers(0, 2**31))
 def test_a_tip_that_stalls_before_the_sensor_has_an_interval(tip: float, seed: int) -> None:
-    obstruction = stall(*_growth(30.0, 40.0, tip, seed), TABLE)
+    obstruction = stall(*_growth(30.0, 40.0, tip, seed), TABLE, UNKNOWN)
     assert obstruction is not None
     assert obstruction.interval_cm[0] <= tip <= obstruction.interval_cm[1]
 
@@ -61,18 +62,18 @@ def test_a_thicker_body_folds_more_gently() -> None:
     thick = RobotConfig()
     thick.body.diameter_cm *= 4
     length, bend = _growth(30.0, 40.0, 35.0)
-    obstruction = stall(length, bend / 6, SensorTable.laid_out(Wiring.laid_out(thick)))
+    obstruction = stall(length, bend / 6, SensorTable.laid_out(Wiring.laid_out(thick)), UNKNOWN)
     assert obstruction is not None
     assert obstruction.arc_cm == pytest.approx(35.0, abs=1.0)
     # Of the thesis's tube so small a rise is creep.
-    creep = stall(length, bend / 6, TABLE)
+    creep = stall(length, bend / 6, TABLE, UNKNOWN)
     assert creep is None or creep.arc_cm != pytest.approx(35.0, abs=1.0)
 
 
 def test_one_sensor_that_is_silent_is_a_sensor_that_is_broken() -> None:
     length, bend = _growth(30.0, 40.0)
     bend[:, 3] = 0.3
-    assert stall(length, bend, TABLE) is None
+    assert stall(length, bend, TABLE, UNKNOWN) is None
 
 
 @pytest.mark.parametrize("off_cm", [-0.4, 0.4])
@@ -83,12 +84,12 @@ def test_a_fold_that_comes_before_its_sensors_place_is_no_stall(off_cm: float) -
     low, high = TABLE.center_cm - TABLE.span_cm / 2, TABLE.center_cm + TABLE.span_cm / 2
     bend += 0.35 * np.clip(length[:, None] - (low + off_cm) + 0.5, 0.0, 1.0)
     bend -= 0.34 * np.clip(length[:, None] - (high + off_cm) + 0.5, 0.0, 1.0)
-    assert stall(length, bend, TABLE) is None
+    assert stall(length, bend, TABLE, UNKNOWN) is None
 
 
 def test_where_no_sensor_was_due_nothing_can_be_said() -> None:
-    assert stall(*_growth(50.0, 53.0, 51.0), TABLE) is None
-    assert stall(np.zeros(0), np.zeros((0, 10)), TABLE) is None
+    assert stall(*_growth(50.0, 53.0, 51.0), TABLE, UNKNOWN) is None
+    assert stall(np.zeros(0), np.zeros((0, 10)), TABLE, UNKNOWN) is None
 
 
 def _obstruction(late_cm: tuple[float, ...] = (), at: float = 36.0) -> Obstruction:
@@ -142,11 +143,11 @@ def test_a_known_wall_that_leads_to_the_tip_is_the_likelier_cause() -> None:
 def test_sensors_that_evert_late_are_told_by_the_growth() -> None:
     """Line that pays out faster than the tip moves, and then the tip stands."""
     length, bend = _growth(30.0, 50.0, 44.0)
-    obstruction = stall(length, bend, TABLE)
+    obstruction = stall(length, bend, TABLE, UNKNOWN)
     assert obstruction is not None
     assert max(np.abs(obstruction.late_cm)) < 0.5
     slow = 30.0 + (length - 30.0) * 0.7
     late = np.column_stack([np.interp(slow, length, column) for column in bend.T])
-    slowed = stall(length, late, TABLE)
+    slowed = stall(length, late, TABLE, UNKNOWN)
     assert slowed is not None
     assert min(slowed.late_cm) > 1.0

@@ -16,6 +16,7 @@ from thigmo.cli.output import (
     show,
     visible,
 )
+from thigmo.contact_status import SAME_CONTACT_CM
 
 if TYPE_CHECKING:
     from thigmo.record import MapContact, RunDocument
@@ -35,7 +36,7 @@ def runs(
     ] = "",
     within: Annotated[
         float, typer.Option(help="Contacts of two runs that are farther apart are not one, cm.")
-    ] = 4.0,
+    ] = SAME_CONTACT_CM,
     as_json: JsonOption = False,
 ) -> None:
     """List the runs in a folder, or compare the contacts of two of them.

@@ -150,9 +150,7 @@ class HeldBent(Obstruction):
         return not known.any() or float(bend @ back[known]) > _CAME_BACK * float(bend @ bend)
 
 
-def stall(
-    length_cm: Floats, bend: Floats, table: SensorTable, zeros: Floats | None = None
-) -> Obstruction | None:
+def stall(length_cm: Floats, bend: Floats, table: SensorTable, zeros: Floats) -> Obstruction | None:
     """What a growth's readings show of its tip; None if every sensor that was due has everted.
 
     At believed lengths (n,), ascending, the sensors read `bend` (n, 10) in 1/cm from any zero.
@@ -178,7 +176,7 @@ def stall(
             interval_cm = min(lows), max(highs)
             everted = table.healthy & (end + FOLD_MARGIN_CM <= length_cm[0])
             last = np.where(everted, np.median(bend[-_SMOOTH:], axis=0), np.nan)
-            body = None if zeros is None else _stalled_body(interval_cm[1], last - zeros, table)
+            body = _stalled_body(interval_cm[1], last - zeros, table)
             return Obstruction(
                 tip, tip, interval_cm, len(nearby), 0.0, late_cm=tuple(late), body=body
             )
@@ -192,7 +190,7 @@ def _stalled_body(length_cm: float, curvature: Floats, table: SensorTable) -> Be
     NaN where a sensor does not tell; None if none does.
     """
     known = np.isfinite(curvature)
-    sides = [known & ((table.bend_sign == 0) | (table.bend_sign == SIGN[side])) for side in SIDES]
+    sides = [known & table.answers(SIGN[side]) for side in SIDES]
     use = max(sides, key=lambda mask: abs(float(curvature[mask].sum())))
     if not use.any():
         return None
@@ -256,7 +254,7 @@ def detect_held_bent(
     moved = new_zeros - old_zeros
     known = table.healthy & np.isfinite(moved) & np.isfinite(bend).all(axis=0)
     for way in (1, -1):
-        use = known & ((table.bend_sign == 0) | (table.bend_sign == way))
+        use = known & table.answers(way)
         count = int(use.sum())
         if count == 0:
             continue

@@ -36,7 +36,7 @@ from serial.tools.list_ports import comports
 
 from thigmo.errors import LinkError, PortError
 from thigmo.link.address import AddressLock
-from thigmo.link.framing import Decoder
+from thigmo.link.framing import Decoder, FrameError
 from thigmo.link.heartbeat import HOLD_AFTER, HeartbeatSource
 from thigmo.link.pipe import Kind, Packet, read_packet, write_packet
 from thigmo.link.port_owner import owner
@@ -219,15 +219,17 @@ class PortProcess:
     def _watch(self, data: bytes) -> None:
         """Look for the board's state, and for the echo of a stop."""
         for frame in self._decoder.feed(data):
-            if frame.id == Telemetry.ID and Telemetry.fits(frame.payload):
-                row = Telemetry.unpack(frame.payload)
+            self.stopper.take(frame)
+            try:
+                row = frame.message()
+            except FrameError:
+                continue  # another schema's
+            if isinstance(row, Telemetry):
                 armed = row.state_activity >> 4 in _ARMED
                 self._disarmed_until_s = -math.inf if armed else time.monotonic() + _STATE_S
                 moves = row.state_activity >> 4 == State.MOVING or row.motor != 0
                 self._still_s = -math.inf if moves or any(row.drive) else time.monotonic()
                 self._watch_growth(row)
-            else:
-                self.stopper.take(frame)
 
     def _watch_growth(self, row: Telemetry) -> None:
         """Stop a robot that grows on while its host hangs."""

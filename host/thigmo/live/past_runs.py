@@ -14,13 +14,13 @@ from typing import Any
 
 from aiohttp import web
 
+from thigmo.contact_status import SAME_CONTACT_CM
 from thigmo.errors import DataError, RunFolderError, ThigmoError
 from thigmo.live.page_data import PastRun
 from thigmo.record import MapContact, RunFolder
 from thigmo.record.listing import compare_contacts, is_run, list_runs
 
 _KEPT = 3  # records in memory
-_SAME_CONTACT_CM = 4.0  # as `thigmo runs` pairs contacts by default
 
 
 class PastRuns:
@@ -112,7 +112,7 @@ class PastRuns:
             )
         except ThigmoError as error:
             raise web.HTTPNotFound(text=str(error)) from error
-        pairs = compare_contacts(first, second, _SAME_CONTACT_CM)
+        pairs = compare_contacts(first, second, SAME_CONTACT_CM)
         body = [
             {"first": _said(pair.first), "second": _said(pair.second),
              "distance_cm": pair.distance_cm}

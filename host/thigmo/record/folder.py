@@ -161,9 +161,9 @@ def _last_length_cm(entries: Sequence[Entry]) -> float:
     """The everted length by the last telemetry; 0 without."""
     for entry in reversed(entries):
         with suppress(FrameError):
-            frame = decode(entry.frame)
-            if frame.id == Telemetry.ID:
-                return Telemetry.unpack(frame.payload).length_um / 1e4
+            message = decode(entry.frame).message()
+            if isinstance(message, Telemetry):
+                return message.length_um / 1e4
     return 0.0
 
 

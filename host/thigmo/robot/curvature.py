@@ -181,6 +181,10 @@ class SensorTable:
         """Raw readings (..., n) in 1/cm from no resistance on: only differences mean something."""
         return np.asarray(self.scale * self.resistance(flex_sum))
 
+    def answers(self, sign: float) -> NDArray[np.bool_]:
+        """Sensors (n,) that answer to bends of a sign: 1 to the left, -1 to the right."""
+        return np.isin(self.bend_sign, (0, sign))
+
     def usable(self, active: Side, masks: int) -> NDArray[np.bool_]:
         """Sensors to localize with while a muscle is inflated.
 
@@ -188,6 +192,5 @@ class SensorTable:
         direction, and set in `masks` (the board's everted & settled & zeroed bits).
         """
         inactive = self.lies != SIGN[active]
-        answers = np.isin(self.bend_sign, (0, SIGN[active]))
         named = np.array([masks >> n & 1 for n in range(len(self.healthy))], dtype=np.bool_)
-        return np.asarray(self.healthy & inactive & answers & named)
+        return np.asarray(self.healthy & inactive & self.answers(SIGN[active]) & named)
