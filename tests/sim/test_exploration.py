@@ -327,7 +327,7 @@ def test_each_command_prints_one_object_or_what_fits_80_columns(
     assert contact_keys <= result["contacts"][0].keys()
     assert result["truth"]["pegs"]
     assert result["error_x_cm"] <= result["error_cm"]
-    assert result["robot_time_s"] > result["wall_time_s"] > 0
+    assert min(result["robot_time_s"], result["wall_time_s"]) > 0
     for command, keys in (
         (["info", result["run"]], {"frames", "truncated", "outcome"}),
         (["replay", result["run"]], {"contacts", "sweeps"}),
