@@ -98,6 +98,7 @@ def port(scene: Scene, serve: Serve) -> str:
     return serve(scene).port
 
 
+@pytest.mark.realtime
 def test_an_operator_explores_through_a_port_stops_and_evaluates(
     port: str, scene: Scene, tmp_path: Path
 ) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -51,12 +51,19 @@ class FittedContact:
 
 
 class SideFits:
-    """Fits to the sweeps of each side so far."""
+    """Fits to the sweeps of each side so far.
+
+    Attributes:
+        meanwhile: called often during a fit, which takes seconds; an exception in it ends the fit.
+    """
+
+    meanwhile: Callable[[], None] | None
 
     def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
         config = wiring.config
         self._wiring, self._config, self._prior = wiring, config, prior
         self._known_places = KnownPlaces(prior)
+        self.meanwhile = None
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(
@@ -93,7 +100,9 @@ class SideFits:
                 mirrored = points * [1.0, SIGN[side]]
                 return self._known_places.boost(mirrored, self._config.body.length_cm)
 
-        side_contacts = contacts(*prepared, self._atlas, expected=expected)
+        side_contacts = contacts(
+            *prepared, self._atlas, expected=expected, meanwhile=self.meanwhile
+        )
         model = f"by {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''}"
         model += f"; one of {len(side_contacts)} on this side" if len(side_contacts) > 1 else ""
         sensors = prepared[0].centers.size

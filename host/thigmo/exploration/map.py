@@ -47,7 +47,7 @@ class ContactMap:
     def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
         self._config = wiring.config
         self._prior = prior
-        self._fits = SideFits(wiring, prior)
+        self.fits = SideFits(wiring, prior)
         self._obstructions: list[MapContact] = []
         self.stall: Stall | None = None  # what stopped the growth
         self._points: list[MapContact] = []  # by a method without intervals
@@ -55,7 +55,7 @@ class ContactMap:
 
     def add_sweep(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
         """Add a sweep's readings towards these sides, made in a zone of body pressure."""
-        self._fits.add(sweep, zone, sides)
+        self.fits.add(sweep, zone, sides)
         self._known = None
 
     def add_points(self, points: Iterable[MapContact]) -> None:
@@ -65,7 +65,7 @@ class ContactMap:
 
     def fitted(self, side: Side) -> list[FittedContact]:
         """What the sweeps of one side touched, the unlikely included."""
-        return self._fits.contacts(side)
+        return self.fits.contacts(side)
 
     @property
     def contacts(self) -> list[MapContact]:
@@ -75,7 +75,7 @@ class ContactMap:
         return list(self._known)
 
     def _explained(self) -> list[MapContact]:
-        detected = [fitted.contact for side in SIDES for fitted in self._fits.contacts(side)]
+        detected = [fitted.contact for side in SIDES for fitted in self.fits.contacts(side)]
         likely = [contact for contact in detected if contact.probability > LIKELY]
         likely.sort(key=lambda contact: min([*contact.merged, contact.everted_length_cm]))
         known: list[MapContact] = []

@@ -103,6 +103,7 @@ class Exploration:
         )
         self._knowledge.journal = self._note_step
         self._interpreter = self._knowledge.interpreter
+        self._interpreter.map.fits.meanwhile = self._mind_the_robot
         self._table = SensorTable.laid_out(self.wiring)
         self._base = sum(1 << number for number in self.wiring.base_inputs)
         self.planner = Planner(self._short_of_the_map(), self.planner.effort)
@@ -151,6 +152,15 @@ class Exploration:
     def _note_step(self, step: str, numbers: Mapping[str, object]) -> None:
         """Put a step of what the run knows into its record, for the replay."""
         self.log.note("step", self.robot.now(), step=step, numbers=dict(numbers))
+
+    def _mind_the_robot(self) -> None:
+        """Read what has come from the board during a fit.
+
+        A fault and a viewer's stop end the fit; and a robot whose host reads nothing for 30 s is
+        stopped (`link/port_process.py`), which a fit can take on a slow computer.
+        """
+        if not self.robot.virtual:
+            self.robot.wait(0.0)
 
     def _note(self, **known: Any) -> None:
         self.document = replace(self.document, **known)

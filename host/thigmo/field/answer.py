@@ -103,14 +103,16 @@ def contacts(
     atlas: Atlas,
     *,
     expected: Callable[[Floats], Floats] | None = None,
+    meanwhile: Callable[[], None] | None = None,
 ) -> list[FieldContact]:
     """What one side's sweeps touched; empty if the readings need no obstacle.
 
     `expected`: density of a given map at points (n, 2) of the skin, over that of a new obstacle.
+    `meanwhile`: called often, since a fit takes seconds; an exception in it ends the fit.
     """
     # Between threads, products of this size take up to 200 times as long on a busy computer.
     with _blas().limit(limits=1, user_api="blas"):
-        return _contacts(readings, errors, atlas, expected)
+        return _contacts(Search(readings, errors, atlas, meanwhile), expected)
 
 
 @cache
@@ -118,16 +120,11 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def _contacts(
-    readings: Readings,
-    errors: Errors,
-    atlas: Atlas,
-    expected: Callable[[Floats], Floats] | None,
-) -> list[FieldContact]:
-    search = Search(readings, errors, atlas)
+def _contacts(search: Search, expected: Callable[[Floats], Floats] | None) -> list[FieldContact]:
+    readings = search.readings
     peg = _one_peg(search, expected)
     holds = peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL
-    gone = None if holds else _gave_way(search, errors, atlas, expected)
+    gone = None if holds else _gave_way(search, expected)
     explanations = [samples for samples in (peg, gone) if samples is not None]
     if not explanations:
         return []
@@ -172,17 +169,13 @@ def _one_peg(search: Search, expected: Callable[[Floats], Floats] | None) -> Sam
     return samples
 
 
-def _gave_way(
-    search: Search, errors: Errors, atlas: Atlas, expected: Callable[[Floats], Floats] | None
-) -> Samples | None:
+def _gave_way(search: Search, expected: Callable[[Floats], Floats] | None) -> Samples | None:
     """Samples of one peg that gave way in some bin; None where one that stays is likelier."""
     prior = float(np.log(_GIVES_WAY / len(search.readings.bend)))
     release = search.pegs.release()
     if release is None or release.gain + prior < max(release.stays, LEAST_GAIN):
         return None
-    samples = _one_peg(
-        Search(replace(search.readings, standing=release.standing), errors, atlas), expected
-    )
+    samples = _one_peg(search.of_what_stood(release.standing), expected)
     if samples is None:
         return None
     samples = replace(samples, log_evidence=samples.log_evidence + prior)

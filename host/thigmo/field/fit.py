@@ -10,6 +10,7 @@ posterior weighs: where a body is not the model's, answers widen. docs/methods.m
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -190,10 +191,19 @@ class FieldFit:
     """One side's readings with the errors of calibration; `model` is the mechanics' error."""
 
     def __init__(
-        self, readings: Readings, errors: Errors, *, model: float = 0.0, row: float = 1.0
+        self,
+        readings: Readings,
+        errors: Errors,
+        *,
+        model: float = 0.0,
+        row: float = 1.0,
+        meanwhile: Callable[[], None] | None = None,
     ) -> None:
-        """`model`: relative error of what a contact adds to a reading; `row`: coarser tables."""
+        """`model`: relative error of what a contact adds to a reading; `row`: coarser tables;
+        `meanwhile`: called before each of the long computations.
+        """
         self.readings, self.errors, self.model, self.row = readings, errors, model, row
+        self._meanwhile = meanwhile
         self.longest = max(stage.length for stage in readings.stages)
         self.step = row * ROW_TURN / self.longest
         top = BEYOND * float(readings.bend.max()) + 2 * self.step
@@ -280,6 +290,8 @@ class FieldFit:
             bends = self.bends[:rows]
             first = min((untouched(p, length, r.radius, bends) for p in obstacles), default=rows)
             if first < rows:
+                if self._meanwhile is not None:
+                    self._meanwhile()
                 critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
                 base = abs(float(q[BASE])) * self.longest
                 cell_cm = min(CELL * self.longest, MOST_CELL_CM)

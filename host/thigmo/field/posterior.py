@@ -11,7 +11,8 @@ have drifted, and the mechanics' relative error.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -109,16 +110,29 @@ class Samples:
 class Search:
     """Fits to a side's readings, at each level of the mechanics' error."""
 
-    def __init__(self, readings: Readings, errors: Errors, atlas: Atlas) -> None:
+    def __init__(
+        self,
+        readings: Readings,
+        errors: Errors,
+        atlas: Atlas,
+        meanwhile: Callable[[], None] | None = None,
+    ) -> None:
         self.readings, self.errors, self._atlas = readings, errors, atlas
-        self.fit = FieldFit(readings, errors)
-        self._levels = [self.fit, *(FieldFit(readings, errors, model=m) for m in MODELS[1:])]
-        self._rough = FieldFit(readings, errors, model=ROUGH, row=2.0)
+        self._meanwhile = meanwhile
+        self._fit_with = partial(FieldFit, errors=errors, meanwhile=meanwhile)
+        self._levels = [self._fit_with(readings, model=model) for model in MODELS]
+        self.fit = self._levels[0]
+        self._rough = self._fit_with(readings, model=ROUGH, row=2.0)
         self.nothing = self.fit.nothing()
         self.pegs = atlas.pegs(self.fit, self.nothing)
         self.places = atlas.likeliest(self.pegs)
         # The bin of each stage at whose end the answer is told; -1: what stood there was gone.
         self._peaks = [self._peak(s) for s in range(len(readings.stages))]
+
+    def of_what_stood(self, standing: Floats) -> Search:
+        """The same for an obstacle that stood in a share (n,) of each bin."""
+        readings = replace(self.readings, standing=standing)
+        return Search(readings, self.errors, self._atlas, self._meanwhile)
 
     def _peak(self, stage: int) -> int:
         """The last bin of a stage; of what gave way, that of the highest bend while it stood."""
@@ -196,7 +210,7 @@ class Search:
         """
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
-            alone = FieldFit(self.readings.at_length(length), self.errors)
+            alone = self._fit_with(self.readings.at_length(length))
             nearest = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
             places += [place for place in nearest if place.gain > _LEAST_PLACE]
         touches = sorted({(place.arc, place.bend) for place in places})

@@ -311,7 +311,10 @@ class Robot(Closing):
     # Waiting and faults.
 
     def wait(self, seconds: float, *, despite_faults: bool = False) -> None:
-        """Let time pass with the link alive; with `despite_faults`, a latched fault is no error."""
+        """Let time pass with the link alive; with 0 s, only take what has come.
+
+        With `despite_faults`, a latched fault is no error.
+        """
         self.supervisor.wait(seconds, despite_faults=despite_faults)
 
     def while_waiting(self, callback: Callable[[], None]) -> None:

@@ -164,15 +164,19 @@ class Supervisor:
             self.link.on_telemetry.remove(take)
 
     def _looks(self, seconds: float, each_s: float) -> Iterator[Iterator[wire.Event]]:
-        """Yield the events received so far, at every message and every `each_s` at least."""
+        """Yield the events received so far, once and then at every message or every `each_s`."""
         end = self.link.now() + seconds
-        while (left := end - self.link.now()) > 0:
-            self.link.poll(min(left, each_s))
+        left = seconds
+        while True:
+            self.link.poll(min(max(left, 0.0), each_s))
             if self.fibre.guarding:
                 self.require_fibre()
             for callback in self.on_wait:
                 callback()
             yield self._taken()
+            left = end - self.link.now()
+            if left <= 0.0:
+                return
 
     def _taken(self) -> Iterator[wire.Event]:
         while self.link.events:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -384,6 +385,25 @@ def test_a_wall_that_longer_bodies_slip_past_ends_where_it_ends(
     whole, short = Search(_readings(rows), _errors(), atlas).walls()
     assert short[0].q[AHEAD] == pytest.approx(ahead, abs=0.01)
     assert short[0].cost < whole[0].cost - 10.0
+
+
+def test_whoever_waits_for_a_fit_is_called_before_each_of_its_mechanics(
+    atlas: Atlas, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[str] = []
+    sweep = Rod.sweep
+
+    def counted(rod: Rod, *args: Any, **kwargs: Any) -> Any:
+        calls.append("sweep")
+        return sweep(rod, *args, **kwargs)
+
+    rng = np.random.default_rng(5)
+    rows = {53.0: _beside_peg(34.0, 0.012, 1.0, 53.0, rng)[0]}
+    monkeypatch.setattr(Rod, "sweep", counted)
+    contacts(_readings(rows), _errors(), atlas, meanwhile=lambda: calls.append("meanwhile"))
+    assert len(calls) > 20
+    assert set(calls[::2]) == {"meanwhile"}
+    assert set(calls[1::2]) == {"sweep"}
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
