@@ -186,6 +186,14 @@ def test_a_fault_while_waiting_is_raised_in_the_schemas_words() -> None:
         robot.grow_to(10.0)
 
 
+def test_a_wait_of_no_time_takes_what_has_come() -> None:
+    robot, board = _robot()
+    board.latch_at_poll = wire.Fault.SPOOL_STALL.mask
+    board.coming = [_event(wire.EventCode.FAULT, wire.Fault.SPOOL_STALL)]
+    with pytest.raises(RobotFaultError, match="spool_stall"):
+        robot.wait(0)
+
+
 @pytest.mark.parametrize(
     ("fault", "value", "said"),
     [
