@@ -33,7 +33,7 @@ def localize_frame(peak: Peak, wiring: Wiring, zone: int, method: str) -> Locali
     stated = errors_of(config, peak.side, zone, sensors)
     averaged = {
         "noise": np.hypot(table.white, peak.added_noise)[use],  # zeros included
-        "zero_error": 0.0,
+        "sensor_zero_error": 0.0,
         "shared_errors": table.shared[use],
     }
     return localize(
