@@ -13,7 +13,6 @@ from command import Thigmo
 from thigmo import wiring
 from thigmo.config import SIDES, RobotConfig
 from thigmo.design import Finding, draft, judge
-from thigmo.design.draft import Kind
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg, Rod, Tube
 from thigmo.wiring import Wiring
@@ -322,7 +321,7 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
 
 
 @pytest.mark.parametrize(("kind", "columns"), [("flex", 2), ("heading", 1), ("fibre", 0)])
-def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: Kind, columns: int) -> None:
+def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: str, columns: int) -> None:
     config = draft(53, 5, 0, kind=kind)
     assert len({sensor.direction_deg for sensor in config.board_sensors}) == columns
     assert len(config.gratings) == (10 if kind == "fibre" else 0)
@@ -332,8 +331,13 @@ def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: Kind, columns: i
     assert findings["feel"].mark == "ok"
 
 
+def test_a_draft_names_the_kinds_of_sensors_that_it_has() -> None:
+    with pytest.raises(ConfigError, match="no sensors of kind 'felx'; use flex, heading, fibre"):
+        draft(53, 5, 2, kind="felx")
+
+
 @pytest.mark.parametrize("kind", ["heading", "fibre"])
-def test_more_than_two_muscles_take_flex_sensors(kind: Kind) -> None:
+def test_more_than_two_muscles_take_flex_sensors(kind: str) -> None:
     with pytest.raises(ConfigError, match=f"3 muscles with sensors of kind {kind}: "):
         draft(53, 5, 3, kind=kind)
 

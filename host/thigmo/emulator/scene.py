@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from thigmo.config import (
     SIDES,
+    FlexSensor,
     HeadingSensor,
     RobotConfig,
     Side,
@@ -372,7 +373,8 @@ class Scene(Model):
                     sensor.scale_se = hypot(sensor.scale_se, end_error)
                     sensor.center_cm, sensor.span_cm = (start + end) / 2, end - start
                     continue
-                sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
+                if isinstance(sensor, FlexSensor):
+                    sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
                 top = config.body.length_cm - sensor.span_cm / 2
                 moved += sensor.center_cm
                 sensor.center_cm = float(min(max(moved, sensor.span_cm / 2 + 1e-3), top))

@@ -12,14 +12,14 @@ from command import Thigmo
 
 from thigmo.calibrate.session import blank
 from thigmo.config import RobotConfig
-from thigmo.design.draft import Kind, draft
+from thigmo.design import draft
 from thigmo.emulator.reach import random_peg, room_for
 from thigmo.emulator.scene import PegTable, Scene
 
 pytestmark = pytest.mark.ci
 
 
-def unknown(seed: int, length_cm: float, sensors: int, muscles: int, kind: Kind) -> Scene:
+def unknown(seed: int, length_cm: float, sensors: int, muscles: int, kind: str) -> Scene:
     """A robot out to its tip in an empty room, whose sensors and maps nobody has measured."""
     scene = room_for(draft(length_cm, sensors, muscles, kind=kind), 0, peg=False)
     rng = np.random.default_rng(seed)
@@ -66,7 +66,7 @@ def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotCo
     ],
 )
 def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
-    thigmo: Thigmo, tmp_path: Path, length_cm: float, sensors: int, muscles: int, kind: Kind
+    thigmo: Thigmo, tmp_path: Path, length_cm: float, sensors: int, muscles: int, kind: str
 ) -> None:
     scene = unknown(3, length_cm, sensors, muscles, kind)
     truth = scene.robot
