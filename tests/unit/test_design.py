@@ -30,7 +30,7 @@ def test_a_draft_is_valid_and_does_what_it_must(length: float, sensors: int, mus
     assert RobotConfig.model_validate(config.model_dump(by_alias=True)) == config
     assert _bad(judge(config)) == []
     assert len(config.muscles) == muscles
-    assert config.body.zones[-1].until_cm == length
+    assert config.body.pressures[-1].until_cm == length
 
 
 def test_a_thick_body_slips_at_the_pressures_that_pull_harder_than_the_spool_holds() -> None:
@@ -150,8 +150,8 @@ def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
     with pytest.raises(ConfigError, match="18 sensors"):
         Wiring.laid_out(config)
     more = RobotConfig()
-    last = more.body.zones[-1]
-    more.body.zones += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
+    last = more.body.pressures[-1]
+    more.body.pressures += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
     assert "9 body pressures, and the largest board holds 8" in wiring.beyond_board(more)[0].problem
     full = draft(200, 16, 1)
     full.column("right")[0].healthy = False

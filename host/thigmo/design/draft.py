@@ -33,7 +33,7 @@ from thigmo.config import (
 from thigmo.errors import ConfigError
 
 SHORTEST_CM, LONGEST_CM = 30.0, 300.0
-_ZONES = ((0.5, 1.47), (2 / 3, 1.01), (1.0, 0.49))  # share of the length, psi (thesis, 3.5)
+_PRESSURES = ((0.5, 1.47), (2 / 3, 1.01), (1.0, 0.49))  # share of the length, psi (thesis, 3.5)
 _MAPPED_PSI, _AMPLITUDE = (0.49, 1.01, 1.47), (0.030, 0.028, 0.026)  # scenes/default.toml
 _FULL_BEND_RAD = 2.5
 _GROWTH_MARGIN = 1.35  # body pressure over the pressure that growth needs
@@ -221,7 +221,7 @@ def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
     usual = Body()
     friction = usual.growth_psi_per_cm * usual.diameter_cm / diameter_cm
     pressures = []
-    for share, psi in _ZONES:
+    for share, psi in _PRESSURES:
         end_cm = share * length_cm
         needed = _GROWTH_MARGIN * (usual.growth_psi + friction * end_cm)
         pressures.append(
@@ -233,7 +233,7 @@ def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
         diameter_cm=diameter_cm,
         pitch_cm=pitch_cm,
         growth_psi_per_cm=round(friction, 5),
-        zones=pressures,
+        pressures=pressures,
     )
 
 
@@ -243,7 +243,7 @@ def _muscle(towards_deg: float, body: Body) -> Muscle:
         name=side_at(towards_deg) or f"{towards_deg:g}deg",
         direction_deg=towards_deg,
         lag_s=0.31,
-        maps=[_map(zone.pressure_psi, share, (9.0, 7.8)) for zone in body.zones],
+        maps=[_map(pressure.pressure_psi, share, (9.0, 7.8)) for pressure in body.pressures],
     )
 
 

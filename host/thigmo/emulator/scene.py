@@ -2,9 +2,10 @@
 
 A scene is TOML. Everything has a default, so the shortest scene is an empty file: the robot of
 `RobotConfig` in an empty room. `extends = "default"` starts from another scene: tables are merged,
-lists (pegs, faults, sensors, zones, maps) are replaced. `scenes/default.toml` shows every key with
-its source; what is a guess is marked [G] there. `robot` holds the *true* constants; `belief` says
-how far the host's robot.toml is off. Lengths in cm, pressures in psi, curvature in 1/cm, time in s.
+lists (pegs, faults, sensors, pressures, maps) are replaced. `scenes/default.toml` shows every key
+with its source; what is a guess is marked [G] there. `robot` holds the *true* constants; `belief`
+says how far the host's robot.toml is off. Lengths in cm, pressures in psi, curvature in 1/cm, time
+in s.
 """
 
 from __future__ import annotations

@@ -26,10 +26,10 @@ def unknown(seed: int, length_cm: float, sensors: int, muscles: int, kind: str) 
     for sensor in scene.robot.sensors:
         sensor.rescale(float(rng.uniform(0.75, 1.25)))
     for muscle in scene.robot.muscles:
-        for zone in muscle.maps:
+        for muscle_map in muscle.maps:
             stretch = float(rng.uniform(0.93, 1.07))
-            zone.inflate.amplitude *= stretch
-            zone.deflate.amplitude *= stretch
+            muscle_map.inflate.amplitude *= stretch
+            muscle_map.deflate.amplitude *= stretch
     scene.start_length_cm = length_cm
     return scene
 
@@ -47,7 +47,7 @@ def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotCo
         ran = thigmo(
             "calibrate", step, "--robot", f"emulator://{tmp_path / 'bare.toml'}", "--config",
             tmp_path / "begun.toml", "--folder", folder, "--trials", 1, "--step-psi", 4.5,
-            "--places", 6, "--zone", len(truth.body.zones) - 1,
+            "--places", 6, "--body-pressure", len(truth.body.pressures) - 1,
         )  # fmt: skip
         assert ran.code == 0, ran.out + ran.err
     config = RobotConfig.load(folder / "robot.toml")
