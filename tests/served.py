@@ -130,7 +130,7 @@ def ready_to_sweep() -> ServedRobot:
     """An emulated robot, zeroed in virtual time, then on a port in real time."""
     robot, transport = armed(scene_at(20.0), seed=3)
     with robot:  # which disarms it: armed, it would miss this host, and the next one arms it
-        robot.select_zone(0)
+        robot.select_body_pressure(0)
         robot.zero()
     # A board that keeps running while hosts come and go: opening does not reset it.
     return ServedRobot(transport.lockstep, reset_on_open=False)

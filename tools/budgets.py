@@ -59,7 +59,7 @@ def session(rig: Rig) -> tuple[Robot, Client]:
     robot.wait(0.3)
     robot.clear_faults()
     robot.confirm_length(51.5, settled=True)
-    robot.select_zone(2)
+    robot.select_body_pressure(2)
     robot.arm()
     return robot, client
 

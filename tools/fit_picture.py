@@ -62,7 +62,7 @@ def fitted(folder: Path, document: RunDocument) -> Fitted:
     config = RunFolder(folder).read_config()
     side, sign = contact.side, SIGN[contact.side]
     sweeps = [
-        Swept(sweep, config.body.zone_at(sweep.peaks[-1].length_cm))
+        Swept(sweep, config.body.pressure_number(sweep.peaks[-1].length_cm))
         for sweep in recorded_sweeps(folder)
         if any(peak.side == side for peak in sweep.peaks)
     ]

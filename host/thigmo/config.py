@@ -116,7 +116,7 @@ def _default_fold(body: dict[str, Any]) -> float:
     return 0.01108 if body.get("grows", True) else inf
 
 
-def _default_zones(body: dict[str, Any]) -> list[BodyPressure]:
+def _default_pressures(body: dict[str, Any]) -> list[BodyPressure]:
     if not body.get("grows", True):
         return [BodyPressure(until_cm=body.get("length_cm", 53.0), pressure_psi=0.0)]
     return [
@@ -151,8 +151,8 @@ class Body(Model):
     growth_psi: NonNegative = 0.2  # body pressure at which the tip begins to evert
     growth_psi_per_cm: NonNegative = 0.003  # what the tail's friction adds for each cm everted
     # Body pressures, set by hand, by everted length.
-    zones: list[BodyPressure] = Field(
-        default_factory=_default_zones,
+    pressures: list[BodyPressure] = Field(
+        default_factory=_default_pressures,
         min_length=1,
         validation_alias="pressure",
         serialization_alias="pressure",
@@ -177,13 +177,13 @@ class Body(Model):
         return self
 
     @model_validator(mode="after")
-    def _zones_ascend(self) -> Self:
-        ends = [zone.until_cm for zone in self.zones]
+    def _pressures_ascend(self) -> Self:
+        ends = [pressure.until_cm for pressure in self.pressures]
         if ends != sorted(set(ends)):
             raise ValueError("body.pressure: until_cm must ascend")
         if ends[-1] < self.length_cm:
             raise ValueError("body.pressure: the last until_cm must reach body.length_cm")
-        if self.grows and not all(zone.pressure_psi for zone in self.zones):
+        if self.grows and not all(pressure.pressure_psi for pressure in self.pressures):
             raise ValueError(
                 "body.pressure: no body grows at 0 psi: give its pressure, or `grows = false`"
             )
@@ -249,10 +249,10 @@ class Body(Model):
             return None
         return self.stiffness_n_cm2, self.stiffness_se_n_cm2 / self.stiffness_n_cm2
 
-    def zone_at(self, length_cm: float) -> int:
-        """Index of the pressure zone that holds at an everted length (boundaries belong below)."""
-        beyond = sum(length_cm > zone.until_cm + 1e-6 for zone in self.zones)
-        return min(beyond, len(self.zones) - 1)
+    def pressure_number(self, length_cm: float) -> int:
+        """Number of the body pressure that holds at an everted length (boundaries belong below)."""
+        beyond = sum(length_cm > pressure.until_cm + 1e-6 for pressure in self.pressures)
+        return min(beyond, len(self.pressures) - 1)
 
 
 def _default_sensors() -> list[Sensor]:
@@ -324,12 +324,12 @@ class Muscle(Placed):
 
 
 def _default_muscles(robot: dict[str, Any]) -> list[Muscle]:
-    zones = robot["body"].zones if "body" in robot else _default_zones({})
+    pressures = robot["body"].pressures if "body" in robot else _default_pressures({})
     return [
         Muscle(
             name=side,
             direction_deg=DEGREES[side],
-            maps=[MuscleMap(body_pressure_psi=zone.pressure_psi) for zone in zones],
+            maps=[MuscleMap(body_pressure_psi=pressure.pressure_psi) for pressure in pressures],
         )
         for side in SIDES
     ]
@@ -442,7 +442,7 @@ class RobotConfig(Model):
                     f"muscle[{number}] is named {muscle.name}, which is {DEGREES[muscle.name]:g} "
                     "degrees: give it another name or direction_deg"
                 )
-            if len(muscle.maps) != len(self.body.zones):
+            if len(muscle.maps) != len(self.body.pressures):
                 raise ValueError(f"muscle[{number}].map: one for each of body.pressure is needed")
             if muscle.max_pressure_psi > self.board.pressure_range_psi:
                 raise ValueError(

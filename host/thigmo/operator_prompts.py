@@ -116,7 +116,7 @@ class NoOperator:
         """Refused."""
         raise DataError(
             f"the body pressure must be set to {pressure_psi:g} psi by hand",
-            "set the regulator, and call select_zone",
+            "set the regulator, and call select_body_pressure",
         )
 
     def warn(self, danger: str) -> None:

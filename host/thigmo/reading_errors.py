@@ -1,7 +1,7 @@
 """What calibration says the readings of one stage may be off by, as the localizer takes it.
 
 Used by explorations, studies and the command line: robot.toml holds the standard errors, a stage
-picks the muscle, the pressure zone and the sensors. It does not import the localizer; the names are
+picks the muscle, the body pressure and the sensors. It does not import the localizer; the names are
 those of its arguments.
 """
 
@@ -45,7 +45,7 @@ class ReadingErrors:
     shared_offset_error: float  # of an offset that the readings share
     # relative, of the map's free curvature; 0 where no muscle bends the body
     shared_map_error: float
-    critical_curvature: float  # contact moment over EI at which the base folds, at this zone
+    critical_curvature: float  # contact moment over EI at which the base folds, at this pressure
     critical_curvature_error: float  # relative
     tube_radius: float  # cm
     stiffness: tuple[float, float] | None  # EI in N cm^2, and its relative standard error
@@ -70,35 +70,39 @@ def shared_errors(sensors: Sequence[Sensor | None]) -> Floats:
 
 
 def reading_errors(
-    config: RobotConfig, side: Side | None, zone: int, sensors: Sequence[tuple[Side, int]]
+    config: RobotConfig, side: Side | None, body_pressure: int, sensors: Sequence[tuple[Side, int]]
 ) -> ReadingErrors:
     """Errors of one stage's readings.
 
     Args:
         config: robot.toml.
         side: inflated muscle; None where the body is straight and pushed.
-        zone: index of the body-pressure zone.
+        body_pressure: its number, from 0.
         sensors: (column, index from the base) of each reading.
 
     Raises:
-        DataError: a sensor or a zone that robot.toml does not have.
+        DataError: a sensor or a body pressure that robot.toml does not have.
     """
     for column, index in sensors:
         if not 0 <= index < len(config.column(column)):
             raise DataError(f"robot.toml has no sensor {column} {index}", "count from the base, 0")
-    return errors_of(config, side, zone, [config.column(column)[n] for column, n in sensors])
+    return errors_of(
+        config, side, body_pressure, [config.column(column)[n] for column, n in sensors]
+    )
 
 
 def errors_of(
-    config: RobotConfig, side: Side | None, zone: int, sensors: Sequence[Sensor]
+    config: RobotConfig, side: Side | None, body_pressure: int, sensors: Sequence[Sensor]
 ) -> ReadingErrors:
     """As `reading_errors`, of sensors of any kind that robot.toml has."""
     body = config.body
-    if not 0 <= zone < len(body.zones):
-        raise DataError(f"robot.toml has no pressure zone {zone}", "count body.pressure from 0")
+    if not 0 <= body_pressure < len(body.pressures):
+        raise DataError(
+            f"robot.toml has no body pressure {body_pressure}", "count body.pressure from 0"
+        )
     critical, critical_error = inf, 0.0
     if body.folds:
-        ratio = body.zones[zone].pressure_psi / body.critical_pressure_psi
+        ratio = body.pressures[body_pressure].pressure_psi / body.critical_pressure_psi
         critical = body.critical_curvature * ratio
         measured_error = body.critical_curvature_se / body.critical_curvature
         critical_error = float(np.hypot(measured_error, _FOLD_LAW_SE * np.log(ratio)))
@@ -109,7 +113,7 @@ def errors_of(
         sensor_zero_error=np.array([sensor.zero_error for sensor in sensors]),
         sensor_gain_error=np.array([sensor.gain_error for sensor in sensors]),
         shared_offset_error=0.0 if muscle is None else muscle.offset_se,
-        shared_map_error=0.0 if muscle is None else muscle.maps[zone].scale_se,
+        shared_map_error=0.0 if muscle is None else muscle.maps[body_pressure].scale_se,
         critical_curvature=critical,
         critical_curvature_error=critical_error,
         tube_radius=body.radius_cm,

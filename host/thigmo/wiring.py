@@ -47,7 +47,7 @@ class BoardSize(NamedTuple):
         """Whether its inputs, outputs and maps are enough."""
         wired = config.board_sensors
         imus = sum(sensor.imu_inputs for sensor in wired)
-        needed = len(config.muscles), len(wired), len(config.body.zones), imus
+        needed = len(config.muscles), len(wired), len(config.body.pressures), imus
         return all(n <= most for n, most in zip(needed, self.capacity.values(), strict=True))
 
 
@@ -75,7 +75,7 @@ def beyond_board(config: RobotConfig) -> list[Limitation]:
     for part, count, most in (
         ("muscles", len(config.muscles), size.muscles),
         ("sensors", len(config.board_sensors), size.sensors),
-        ("body pressures", len(config.body.zones), size.body_pressures),
+        ("body pressures", len(config.body.pressures), size.body_pressures),
     ):
         if count > most:
             problem = f"{count} {part}, and the largest board holds {most}"

@@ -28,13 +28,13 @@ class Rig(Generic[Harmed]):
         self.robot = Robot(self.client)
 
     def prepare(self) -> None:
-        """Length and zone known, armed, zeroed."""
+        """Length and body pressure known, armed, zeroed."""
         robot = self.robot
         robot.wait(0.3)
         robot.set_parameter("drift_limit_e5", [5000])
         robot.set_parameter("zero_ms", [200])
         robot.confirm_length(self.transport.lockstep.plant.length_cm, settled=True)
-        robot.select_zone(2)
+        robot.select_body_pressure(2)
         robot.arm()
         robot.zero()
 

@@ -16,7 +16,7 @@ def breathing() -> tuple[Robot, EmulatorTransport]:
     scene = scene_at(10.0)
     scene.enables.fitted = True
     robot, transport = armed(scene)
-    robot.select_zone(0)
+    robot.select_body_pressure(0)
     robot.wait(15.0)
     return robot, transport
 

@@ -25,7 +25,7 @@ def room() -> Scene:
 
 def test_sweep_reaches_its_amplitude_and_touches_the_peg(room: Scene) -> None:
     robot, transport = armed(room)
-    robot.select_zone(2)
+    robot.select_body_pressure(2)
     robot.zero()
     plant = transport.lockstep.plant
     readings: list[tuple[float, float, float]] = []

@@ -30,8 +30,8 @@ def scene() -> Scene:
     robot = made.robot
     robot.sensors = [s for s in robot.sensors if s.center_cm < LENGTH_CM - 5]
     robot.body.length_cm = LENGTH_CM
-    for zone, until in zip(robot.body.zones, (10.0, 20.0, LENGTH_CM), strict=True):
-        zone.until_cm = until
+    for pressure, until in zip(robot.body.pressures, (10.0, 20.0, LENGTH_CM), strict=True):
+        pressure.until_cm = until
     peg, _ = random_peg(robot, np.random.default_rng(3))
     made.pegs = [PegTable(x=peg.x, y=peg.y, radius=0.6)]
     return made
@@ -108,7 +108,7 @@ def test_an_operator_explores_through_a_port_stops_and_evaluates(
     terminal = Terminal(*command, "--robot", port, "--config", str(config))
     terminal.answer("0", "Measure the everted length")
     terminal.answer("", "Set one dowel")
-    for _ in (*scene.robot.body.zones, "raised to measure the contact"):
+    for _ in (*scene.robot.body.pressures, "raised to measure the contact"):
         terminal.answer("", "Set the body pressure")
     place: Place = (scene.pegs[0].x, scene.pegs[0].y)
     terminal.answer(f"{place[0]} {place[1]}", "centre by")

@@ -29,7 +29,7 @@ def ready() -> tuple[Robot, EmulatorTransport]:
     scene: Scene = scene_at(20.0)
     scene.belief = type(scene.belief)()
     robot, transport = armed(scene)
-    robot.select_zone(0)
+    robot.select_body_pressure(0)
     robot.zero()
     return robot, transport
 

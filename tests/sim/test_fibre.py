@@ -43,7 +43,7 @@ def _room(length_cm: float = 53.0) -> Scene:
 def pressing() -> tuple[Robot, EmulatorTransport]:
     """Zeroed, and bent to the left by 6 psi."""
     robot, transport = armed(_room())
-    robot.select_zone(2)
+    robot.select_body_pressure(2)
     robot.wait_settled()
     robot.zero()
     robot.press("left", 6.0)
@@ -140,7 +140,7 @@ def test_a_pressed_body_is_read_as_it_bends(pressing: tuple[Robot, EmulatorTrans
 
 def test_only_a_body_at_rest_is_zeroed_and_only_what_is_out_of_it() -> None:
     robot, transport = armed(_room(30.0))
-    robot.select_zone(1)
+    robot.select_body_pressure(1)
     robot.wait_settled()
     transport.lockstep.faults.inject(FaultTable(kind="grating_lost", at_s=0.0, sensor=0))
     robot.config.gratings[0].healthy = False  # and its peak is lost
@@ -215,7 +215,7 @@ def test_over_a_socket_a_robot_is_read_and_stops_when_it_is_cut() -> None:
     server = LineServer(address, transport.lockstep.plant.fibre)
     at_each_step(transport, server.exchange)
     transport.interrogator = lambda: TcpSource(address)  # type: ignore[method-assign, assignment, return-value]
-    robot.select_zone(2)
+    robot.select_body_pressure(2)
     robot.wait_settled()
     robot.zero()
     robot.press("left", 6.0)

@@ -70,12 +70,16 @@ def grow(robot: Robot, transport: EmulatorTransport, length_cm: float) -> Iterat
     """With the body pressure of each range, as calibration and explorations do; gives the stops."""
     plant, body = transport.lockstep.plant, robot.config.body
     now = plant.length_cm
-    stops = {*np.arange(10.0, length_cm, 10.0), *(zone.until_cm for zone in body.zones), length_cm}
+    stops = {
+        *np.arange(10.0, length_cm, 10.0),
+        *(pressure.until_cm for pressure in body.pressures),
+        length_cm,
+    }
     for stop in sorted(stops):
         if now < stop <= length_cm:
-            zone = body.zone_at(now + 0.2)
-            plant.set_body_pressure(body.zones[zone].pressure_psi)
-            robot.select_zone(zone)
+            body_pressure = body.pressure_number(now + 0.2)
+            plant.set_body_pressure(body.pressures[body_pressure].pressure_psi)
+            robot.select_body_pressure(body_pressure)
             robot.grow_to(stop)
             now = stop
             yield stop
@@ -96,8 +100,8 @@ def learnt() -> list[float]:
 def learned_robot(
     scene: Scene, pulls: list[float], seed: int = 1
 ) -> tuple[Robot, EmulatorTransport]:
-    for zone, pull in zip(scene.robot.body.zones, pulls, strict=True):
-        zone.pull_duty = pull
+    for pressure, pull in zip(scene.robot.body.pressures, pulls, strict=True):
+        pressure.pull_duty = pull
     return armed(scene, seed)
 
 
@@ -173,7 +177,7 @@ def test_sensors_that_still_creep_as_they_are_wound_in_accuse_no_encoder(seed: i
     scene = scene_at(0.0)
     scene.flex.creep = 0.057
     robot, transport = thick_robot("thick-10", scene, seed)
-    transport.lockstep.plant.set_body_pressure(robot.config.body.zones[0].pressure_psi)
+    transport.lockstep.plant.set_body_pressure(robot.config.body.pressures[0].pressure_psi)
     robot.grow_to(14.5)
     robot.grow_to(29.0)
     assert robot.retract_to(2.0).length_cm == pytest.approx(2.0, abs=0.2)
@@ -213,7 +217,7 @@ def test_a_tip_that_stands_still_leaves_the_tail_slack_and_accuses_no_encoder(
     robot, transport = learned_robot(scene_at(10.0), learnt)
     plant = transport.lockstep.plant
     plant.set_body_pressure(1.47)
-    robot.select_zone(0)
+    robot.select_body_pressure(0)
     robot.grow_to(stands_cm)
     plant.set_body_pressure(0.0)
     robot.grow_to(26.0)

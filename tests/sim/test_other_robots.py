@@ -41,7 +41,7 @@ def _prepare(driven: Robot, robot: RobotConfig) -> None:
     """Configure it at its full length, arm and zero it."""
     driven.configure(robot)
     driven.confirm_length(robot.body.length_cm, settled=True)
-    driven.select_zone(2)
+    driven.select_body_pressure(2)
     driven.arm()
     driven.wait(2.0)
     driven.zero()

@@ -87,7 +87,7 @@ def session(scene: Scene, store: bytes, profile: tuple[int, int]) -> tuple[list[
     robot.set_parameter("drift_limit_e5", [5000])
     robot.set_parameter("zero_ms", [200])
     robot.confirm_length(51.5, settled=True)
-    robot.select_zone(2)
+    robot.select_body_pressure(2)
     robot.arm()
     robot.grow_to(53.0)
     robot.confirm_length(53.0, settled=True)

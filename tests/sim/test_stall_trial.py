@@ -14,7 +14,7 @@ from thigmo.emulator.transport import EmulatedOperator
 from thigmo.errors import DataError
 from thigmo.exploration import ExplorationResult, explore, replay
 
-_TOO_LITTLE_PSI = 0.49  # of the last zone, for the friction of the longest body
+_TOO_LITTLE_PSI = 0.49  # of the last body pressure, for the friction of the longest body
 
 
 def _room(folder: Path) -> str:

@@ -21,9 +21,9 @@ def test_a_robot_off_its_map_places_its_contact_within_the_interval(
     scene = Scene.load("default")
     known = scene.believed(1)
     for side in SIDES:
-        for zone in scene.robot.muscle(side).maps:
-            zone.inflate.amplitude *= bend
-            zone.deflate.amplitude *= bend
+        for muscle_map in scene.robot.muscle(side).maps:
+            muscle_map.inflate.amplitude *= bend
+            muscle_map.deflate.amplitude *= bend
     result = explored(room_file(tmp_path, scene), tmp_path, 1, config=known)
     truth = result.document.truth
     assert truth is not None

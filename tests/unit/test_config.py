@@ -69,10 +69,12 @@ def test_missing_and_unwritable_files_say_what_to_do(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("length_cm", "zone"), [(0.0, 0), (26.5, 0), (26.6, 1), (35.3, 1), (53.0, 2)]
+    ("length_cm", "body_pressure"), [(0.0, 0), (26.5, 0), (26.6, 1), (35.3, 1), (53.0, 2)]
 )
-def test_zone_boundaries_belong_to_the_zone_below(length_cm: float, zone: int) -> None:
-    assert Body().zone_at(length_cm) == zone
+def test_a_boundary_belongs_to_the_body_pressure_below(
+    length_cm: float, body_pressure: int
+) -> None:
+    assert Body().pressure_number(length_cm) == body_pressure
 
 
 def test_a_robot_of_one_muscle_has_one_side() -> None:

@@ -13,7 +13,6 @@ from command import Thigmo
 from thigmo import wiring
 from thigmo.config import SIDES, RobotConfig
 from thigmo.design import Finding, draft, judge
-from thigmo.design.draft import Kind
 from thigmo.errors import ConfigError
 from thigmo.mechanics import Peg, Rod, Tube
 from thigmo.wiring import Wiring
@@ -31,7 +30,7 @@ def test_a_draft_is_valid_and_does_what_it_must(length: float, sensors: int, mus
     assert RobotConfig.model_validate(config.model_dump(by_alias=True)) == config
     assert _bad(judge(config)) == []
     assert len(config.muscles) == muscles
-    assert config.body.zones[-1].until_cm == length
+    assert config.body.pressures[-1].until_cm == length
 
 
 def test_a_thick_body_slips_at_the_pressures_that_pull_harder_than_the_spool_holds() -> None:
@@ -151,8 +150,8 @@ def test_what_the_board_cannot_hold_is_refused_with_its_number() -> None:
     with pytest.raises(ConfigError, match="18 sensors"):
         Wiring.laid_out(config)
     more = RobotConfig()
-    last = more.body.zones[-1]
-    more.body.zones += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
+    last = more.body.pressures[-1]
+    more.body.pressures += [last.model_copy(update={"until_cm": 60.0 + n}) for n in range(6)]
     assert "9 body pressures, and the largest board holds 8" in wiring.beyond_board(more)[0].problem
     full = draft(200, 16, 1)
     full.column("right")[0].healthy = False
@@ -322,7 +321,7 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
 
 
 @pytest.mark.parametrize(("kind", "columns"), [("flex", 2), ("heading", 1), ("fibre", 0)])
-def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: Kind, columns: int) -> None:
+def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: str, columns: int) -> None:
     config = draft(53, 5, 0, kind=kind)
     assert len({sensor.direction_deg for sensor in config.board_sensors}) == columns
     assert len(config.gratings) == (10 if kind == "fibre" else 0)
@@ -332,8 +331,13 @@ def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: Kind, columns: i
     assert findings["feel"].mark == "ok"
 
 
+def test_a_draft_names_the_kinds_of_sensors_that_it_has() -> None:
+    with pytest.raises(ConfigError, match="no sensors of kind 'felx'; use flex, heading, fibre"):
+        draft(53, 5, 2, kind="felx")
+
+
 @pytest.mark.parametrize("kind", ["heading", "fibre"])
-def test_more_than_two_muscles_take_flex_sensors(kind: Kind) -> None:
+def test_more_than_two_muscles_take_flex_sensors(kind: str) -> None:
     with pytest.raises(ConfigError, match=f"3 muscles with sensors of kind {kind}: "):
         draft(53, 5, 3, kind=kind)
 

@@ -101,15 +101,15 @@ class Script:
         self.confirm_length(self.length)
         return self.length
 
-    def pressurize(self, zone: int) -> None:
-        self.set_body_pressure(RobotConfig().body.zones[zone].pressure_psi)
-        self.select_zone(zone)
+    def pressurize(self, body_pressure: int) -> None:
+        self.set_body_pressure(RobotConfig().body.pressures[body_pressure].pressure_psi)
+        self.select_body_pressure(body_pressure)
 
     def arm(self) -> None:
         self._call("arm")
 
-    def select_zone(self, zone: int) -> None:
-        self._call(f"zone {zone}")
+    def select_body_pressure(self, body_pressure: int) -> None:
+        self._call(f"select {body_pressure}")
 
     def grow_to(self, length_cm: float, watcher: Any = None) -> float:
         self._call(f"grow {length_cm:g}")
@@ -219,7 +219,15 @@ def test_an_empty_room_is_explored_to_the_full_length(tmp_path: Path) -> None:
     assert robot.calls[:4] == ["configure", "confirm 0", "arm", "body 1.47"]
     assert robot.calls[-1] == "disarm"
     first_stage = robot.calls[4:11]
-    assert first_stage == ["zone 0", "grow 10", "settle", "zero", "sweep 18 18", "vent", "zone 0"]
+    assert first_stage == [
+        "select 0",
+        "grow 10",
+        "settle",
+        "zero",
+        "sweep 18 18",
+        "vent",
+        "select 0",
+    ]
     assert [c for c in robot.calls if c.startswith("body")] == [
         "body 1.47",
         "body 1.01",
@@ -248,7 +256,7 @@ def _measured(robot: Script) -> list[str]:
 def test_the_body_pressure_is_raised_to_measure_at_the_full_length(tmp_path: Path) -> None:
     robot = Script(touches_at=53)
     _explore(tmp_path, robot)
-    assert _measured(robot) == ["vent", "body 1.47", "zone 0", "vent", "sweep 18 0"]
+    assert _measured(robot) == ["vent", "body 1.47", "select 0", "vent", "sweep 18 0"]
     assert not any(call.startswith("body") for call in robot.calls[-4:])  # and stays there
 
 
@@ -260,7 +268,7 @@ def test_the_body_pressure_is_lowered_again_to_grow_on(tmp_path: Path) -> None:
     _explore(tmp_path / "often", robot, effort=replace(EVERY_PITCH, raises_often=True))
     assert "body 1.47" in _measured(robot)
     raised = robot.calls.index("sweep 18 0")
-    assert robot.calls[raised + 1 : raised + 5] == ["vent", "body 0.49", "zone 2", "grow 53"]
+    assert robot.calls[raised + 1 : raised + 5] == ["vent", "body 0.49", "select 2", "grow 53"]
 
 
 def test_a_contact_is_measured_as_it_is_if_nobody_raises_the_body_pressure(tmp_path: Path) -> None:
@@ -314,7 +322,7 @@ def test_the_thesis_protocol_zeroes_before_and_after_every_sweep(tmp_path: Path)
     assert all(robot.calls[n - 2 : n] == ["settle", "zero"] for n in at)
     assert all(robot.calls[n + 1 : n + 4] == ["vent", "settle", "zero"] for n in at)
     third = robot.calls[robot.calls.index("grow 26.5") - 2 : robot.calls.index("grow 30") + 1]
-    assert third == ["body 1.47", "zone 0", "grow 26.5", "body 1.01", "zone 1", "grow 30"]
+    assert third == ["body 1.47", "select 0", "grow 26.5", "body 1.01", "select 1", "grow 30"]
 
 
 def test_a_contact_is_mapped_and_the_run_goes_on_to_the_full_length(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from thigmo.config import SIGN, RobotConfig, Side
 from thigmo.exploration.measuring import (
     curvature_deficit,
     measuring_pressure,
-    pressing_zone,
+    pressing_body_pressure,
     touch_curvature,
 )
 from thigmo.field import fold_moment
@@ -44,7 +44,7 @@ def _half(
 
 def test_the_measurement_is_taken_short_of_the_fold() -> None:
     frames = _half("left", -0.002, 6.0, noise=5e-4)
-    pressure = measuring_pressure(frames, "left", CONFIG, zone=2)
+    pressure = measuring_pressure(frames, "left", CONFIG, body_pressure=2)
     excess = 0.002 * (pressure - 6.0)
     assert 0.5 * fold_moment(CONFIG, 2) < excess < fold_moment(CONFIG, 2)
 
@@ -69,7 +69,7 @@ def test_a_body_that_straightens_sooner_than_its_map_says_is_not_held_back() -> 
 
 
 @pytest.mark.parametrize(
-    ("slope", "onset_psi", "zone"),
+    ("slope", "onset_psi", "body_pressure"),
     [
         (-0.004, 2.0, 0),  # touched early: three times the moment
         (-0.004, 11.0, 1),  # later: at the highest pressure the muscle would bend it too little
@@ -78,15 +78,16 @@ def test_a_body_that_straightens_sooner_than_its_map_says_is_not_held_back() -> 
     ],
 )
 def test_the_body_pressure_is_raised_where_the_fold_limits(
-    slope: float, onset_psi: float, zone: int
+    slope: float, onset_psi: float, body_pressure: int
 ) -> None:
     frames = _half("left", slope, onset_psi)
     config = deepcopy(CONFIG)
     for muscle_map, amplitude in zip(config.muscle("left").maps, (0.026, 0.028, 0.03), strict=True):
         muscle_map.inflate.amplitude = amplitude
-    assert pressing_zone(frames, {"left"}, config, 2) == zone
-    assert pressing_zone(frames, {"left", "right"}, config, 2) == 2  # the right one felt nothing
-    assert pressing_zone(frames, {"left"}, config, 0) == 0  # there is no higher one
+    assert pressing_body_pressure(frames, {"left"}, config, 2) == body_pressure
+    # The right one felt nothing.
+    assert pressing_body_pressure(frames, {"left", "right"}, config, 2) == 2
+    assert pressing_body_pressure(frames, {"left"}, config, 0) == 0  # there is no higher one
 
 
 def test_the_fold_moment_grows_with_body_pressure() -> None:

@@ -7,7 +7,12 @@ import pytest
 from thigmo.config import FlexSensor, RobotConfig
 from thigmo.errors import ConfigError, DataError
 from thigmo.exploration.effort import EFFORTS, THESIS, Plan, Planner, chosen_effort, within
-from thigmo.exploration.growth import growth_target, growth_zone, half_everted, stage_lengths
+from thigmo.exploration.growth import (
+    growth_body_pressure,
+    growth_target,
+    half_everted,
+    stage_lengths,
+)
 from thigmo.exploration.states import TRANSITIONS, State
 from thigmo.field import expected_sweeps
 from thigmo.wiring import Wiring
@@ -28,10 +33,10 @@ def _walk(config: RobotConfig, length: float) -> list[tuple[float, float]]:
     steps = []
     while (stage := next_stage(config, length, swept=False)) is not None:
         while True:
-            zone = growth_zone(config, length, stage)
+            body_pressure = growth_body_pressure(config, length, stage)
             target = growth_target(config, length, stage)
             if target > length + 0.1:
-                steps.append((target, config.body.zones[zone].pressure_psi))
+                steps.append((target, config.body.pressures[body_pressure].pressure_psi))
                 length = target
             if target == stage:
                 break
@@ -58,9 +63,9 @@ def test_growth_stops_at_each_body_pressure_boundary() -> None:
 def test_the_spools_tolerance_at_a_boundary_does_not_repeat_it(offset: float) -> None:
     config = RobotConfig()
     assert growth_target(config, 26.5 + offset, 30) == 30
-    assert growth_zone(config, 26.5 + offset, 30) == 1
-    assert growth_zone(config, 20 + offset, 30) == 0
-    assert growth_zone(config, 53 + offset, 53) == 2
+    assert growth_body_pressure(config, 26.5 + offset, 30) == 1
+    assert growth_body_pressure(config, 20 + offset, 30) == 0
+    assert growth_body_pressure(config, 53 + offset, 53) == 2
 
 
 def test_a_run_may_start_anywhere() -> None:

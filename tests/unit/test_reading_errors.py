@@ -1,4 +1,4 @@
-"""What robot.toml says of errors reaches the localizer: each one, of the right side and zone."""
+"""What robot.toml says of errors reaches the localizer: of the right side and pressure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from thigmo.reading_errors import reading_errors
 SENSORS = [("right", 0), ("right", 3)]
 
 
-def test_each_error_is_that_of_its_sensor_side_and_zone() -> None:
+def test_each_error_is_that_of_its_sensor_side_and_body_pressure() -> None:
     config = RobotConfig()
     config.column("right")[3].noise = 3e-4
     config.column("right")[3].zero_se = 4e-4
@@ -50,9 +50,9 @@ def test_an_uncalibrated_robot_is_uncertain_in_everything() -> None:
 
 
 @pytest.mark.parametrize(
-    ("zone", "sensors", "named"),
-    [(3, SENSORS, "zone 3"), (-1, SENSORS, "zone -1"), (0, [("left", 5)], "sensor left 5")],
+    ("body_pressure", "sensors", "named"),
+    [(3, SENSORS, "pressure 3"), (-1, SENSORS, "pressure -1"), (0, [("left", 5)], "left 5")],
 )
-def test_what_robot_toml_does_not_have_is_named(zone, sensors, named) -> None:  # type: ignore[no-untyped-def]
+def test_what_robot_toml_does_not_have_is_named(body_pressure, sensors, named) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(DataError, match=named):
-        reading_errors(RobotConfig(), "left", zone, sensors)
+        reading_errors(RobotConfig(), "left", body_pressure, sensors)

@@ -28,7 +28,7 @@ def test_a_replay_takes_the_steps_that_the_run_has_noted(tmp_path: Path) -> None
     live = RunKnowledge(Wiring.laid_out(RobotConfig()))
     live.journal = lambda step, numbers: noted.append({"step": step, "numbers": dict(numbers)})
     live.growth_begins()
-    live.tries_more_pressure(zone=2)
+    live.tries_more_pressure(body_pressure=2)
     live.ended(t_s=1.5, length_cm=30.0)
     assert [note["step"] for note in noted] == ["growth_begins", "tries_more_pressure", "ended"]
     again = replayed(tmp_path, *noted)
@@ -42,13 +42,13 @@ def test_a_replay_takes_the_steps_that_the_run_has_noted(tmp_path: Path) -> None
         {},
         {"step": "tries_more_pressure"},
         {"step": "tries_more_pressure", "numbers": {}},
-        {"step": "tries_more_pressure", "numbers": {"zone": 1, "t_s": 0.0}},
+        {"step": "tries_more_pressure", "numbers": {"body_pressure": 1, "t_s": 0.0}},
         {"step": "__init__", "numbers": {}},
-        {"step": "has_looked", "numbers": {"zone": 0}},  # its sweep is lost
+        {"step": "has_looked", "numbers": {"body_pressure": 0}},  # its sweep is lost
     ],
 )
 def test_a_damaged_note_is_left_out(damaged: dict[str, Any], tmp_path: Path) -> None:
-    higher = {"step": "tries_more_pressure", "numbers": {"zone": 2}}
+    higher = {"step": "tries_more_pressure", "numbers": {"body_pressure": 2}}
     assert replayed(tmp_path, damaged, higher, damaged).raised == 2
 
 

@@ -57,8 +57,8 @@ def _maps(key: str, factor: float) -> Callable[[Table], None]:
 
 def _pressures(factor: float) -> Callable[[Table], None]:
     def turn(file: Table) -> None:
-        for zone in file["body"]["pressure"]:
-            zone["pressure_psi"] *= factor
+        for pressure in file["body"]["pressure"]:
+            pressure["pressure_psi"] *= factor
         for muscle in file["muscle"]:
             for muscle_map in muscle["map"]:
                 muscle_map["body_pressure_psi"] *= factor

@@ -156,22 +156,24 @@ class ActuatorResult(StepResult):
         return self.highest_psi < (1 - SAME_PRESSURE) * muscle.max_pressure_psi
 
     def write(self, config: RobotConfig) -> None:
-        """Put the map into the zone of its body pressure (within 10 %).
+        """Store the map as that of its body pressure (within 10 %).
 
         A muscle that was measured to less than its largest pressure is pressed to that much only.
         """
         actuator = config.muscles[config.muscle_number(self.readings.muscle)]
         # A body that does not grow may have no pressure.
         apart_psi = [
-            abs(self.muscle_map.body_pressure_psi - zone.pressure_psi) for zone in config.body.zones
+            abs(self.muscle_map.body_pressure_psi - pressure.pressure_psi)
+            for pressure in config.body.pressures
         ]
-        zone = int(np.argmin(apart_psi))
-        if apart_psi[zone] > SAME_PRESSURE * config.body.zones[zone].pressure_psi:
+        body_pressure = int(np.argmin(apart_psi))
+        nearest = config.body.pressures[body_pressure]
+        if apart_psi[body_pressure] > SAME_PRESSURE * nearest.pressure_psi:
             raise DataError(
-                f"no zone has a body pressure of {self.muscle_map.body_pressure_psi:g} psi",
+                f"no body pressure is {self.muscle_map.body_pressure_psi:g} psi",
                 "correct body.pressure in robot.toml",
             )
-        actuator.maps[zone] = self.muscle_map
+        actuator.maps[body_pressure] = self.muscle_map
         if self.ends_early(config):
             actuator.max_pressure_psi = round(self.highest_psi, 2)
         actuator.offset_se = self.offset_se
@@ -234,26 +236,26 @@ def _map_values(p: Array, log_amplitude: Array, log_scale: Array, offset: Array)
 def guided(bench: Bench) -> ActuatorResults:
     """Measure and fit maps and lags of all measurable muscles at the planned body pressures."""
     config, wiring = bench.config, bench.wiring
-    zones = bench.plan.zones or tuple(range(len(config.body.zones)))
+    body_pressures = bench.plan.body_pressures or tuple(range(len(config.body.pressures)))
     unmeasured = [m for m in config.muscles if not m.side and not _healthy_sensors(wiring, m)]
     measured = [m for m in config.muscles if m not in unmeasured]
     if not measured:
         raise DataError(*_unmeasured_text(unmeasured[0]).split("; "))
-    rows = bend_rows(bench, zones)
+    rows = bend_rows(bench, body_pressures)
     for muscle in measured:
         if muscle.side is None:
-            rows += unseen_bend_rows(bench, zones, muscle)
-    ramps = {muscle.name: ramp(bench, muscle, zones[-1]) for muscle in measured}
+            rows += unseen_bend_rows(bench, body_pressures, muscle)
+    ramps = {muscle.name: ramp(bench, muscle, body_pressures[-1]) for muscle in measured}
     fits: list[ActuatorResult] = []
-    for zone, muscle in product(zones, measured):
+    for body_pressure, muscle in product(body_pressures, measured):
         muscle_rows = [
             r for r in rows
-            if r["zone"] == zone
+            if r["body_pressure"] == body_pressure
             and (r.get("side") == muscle.side if muscle.side else r.get("muscle") == muscle.name)
         ]  # fmt: skip
-        result = fit_actuator(readings_of(muscle_rows, wiring, muscle, zone))
+        result = fit_actuator(readings_of(muscle_rows, wiring, muscle, body_pressure))
         record = ramps[muscle.name]
-        if result.verdict.good and zone == zones[-1] and record is not None:
+        if result.verdict.good and body_pressure == body_pressures[-1] and record is not None:
             lag = fit_lag(*record, result.muscle_map, muscle.reversal_psi)
             if lag.inflate_se_s < _LAG_SE_S:
                 result = replace(result, lag=lag)
@@ -265,7 +267,9 @@ def _healthy_sensors(wiring: Wiring, muscle: Muscle) -> list[WiredSensor]:
     return [wired for wired in wiring.sensors_reading(muscle) if wired.sound]
 
 
-def readings_of(rows: Sequence[Row], wiring: Wiring, muscle: Muscle, zone: int) -> BendReadings:
+def readings_of(
+    rows: Sequence[Row], wiring: Wiring, muscle: Muscle, body_pressure: int
+) -> BendReadings:
     """Bends of one muscle at one body pressure, by camera if it can see them, else by sensors."""
     if muscle.side:
         k = SIGN[muscle.side] * column(rows, "k")
@@ -276,7 +280,7 @@ def readings_of(rows: Sequence[Row], wiring: Wiring, muscle: Muscle, zone: int) 
         k, error, scale_se = curvature_by_sensors(column(rows, "ohm"), sound)
         sensors = len(sound)
     branch, trial = tuple(r["branch"] for r in rows), np.array([r["trial"] for r in rows], np.int64)
-    psi, body_psi = column(rows, "psi"), wiring.config.body.zones[zone].pressure_psi
+    psi, body_psi = column(rows, "psi"), wiring.config.body.pressures[body_pressure].pressure_psi
     return BendReadings(muscle.name, body_psi, psi, k, error, branch, trial, scale_se, sensors)
 
 

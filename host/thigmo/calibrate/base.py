@@ -191,7 +191,7 @@ def _fit(
     body = config.body
     fold = body.push_curvature
     if body.folds:
-        fold = critical_moment(fold, body.critical_pressure_psi, body.zones[-1].pressure_psi)
+        fold = critical_moment(fold, body.critical_pressure_psi, body.pressures[-1].pressure_psi)
     taken = pushes(0.0)
     bent = np.abs(taken.moment) > _FOLDED * fold
     if body.folds and bent.any():

@@ -62,7 +62,8 @@ class Plan:
     pushes: int = 5  # hard pushes of the buckling step
     rest_readings: int = 40  # readings of the noise step
     creep_s: float = 30.0  # time for which creep is watched after each eversion
-    zones: tuple[int, ...] | None = None  # body pressures whose maps are measured; None = all
+    # Numbers of the body pressures whose maps are measured; None = all.
+    body_pressures: tuple[int, ...] | None = None
 
 
 def grow_to(
@@ -74,7 +75,7 @@ def grow_to(
     *,
     spacing_cm: float | None = None,
 ) -> None:
-    """Grow to a length, stop by stop, with the body pressure of each zone.
+    """Grow to a length, stop by stop, with the body pressure of each length.
 
     `at_stop` is called with the length at each multiple of the spacing (None: the pitch) and at the
     end. Raises DataError if the robot is longer already: this never retracts.
@@ -86,12 +87,12 @@ def grow_to(
             "retract it with `thigmo retract`, then run this again",
         )
     stops = _stops_cm(spacing_cm or body.pitch_cm, length_cm)
-    boundaries = {z.until_cm for z in body.zones if z.until_cm < length_cm}
+    boundaries = {z.until_cm for z in body.pressures if z.until_cm < length_cm}
     robot.vent()
     for stop in sorted(stops | boundaries):
         if stop <= grown_cm + SAME_LENGTH_CM:
             continue
-        robot.pressurize(body.zone_at(min(grown_cm + SAME_LENGTH_CM, stop)))
+        robot.pressurize(body.pressure_number(min(grown_cm + SAME_LENGTH_CM, stop)))
         say(f"growing to {stop:.1f} cm")
         robot.grow_to(stop)
         grown_cm = stop
@@ -173,9 +174,9 @@ class Bench:
         mean = np.ma.masked_invalid(self.ohm(record)).mean(axis=0)
         return np.asarray(mean.filled(np.nan))
 
-    def set_zone(self, zone: int) -> None:
-        """Set the body pressure of a zone, and say so to the board."""
-        self.robot.pressurize(zone)
+    def set_body_pressure(self, body_pressure: int) -> None:
+        """Set a body pressure, and say so to the board."""
+        self.robot.pressurize(body_pressure)
 
     def bring_to(
         self,
@@ -187,20 +188,20 @@ class Bench:
         """Grow to a length with `grow_to`."""
         grow_to(self.robot, self.config, length_cm, self.say, at_stop, spacing_cm=spacing_cm)
 
-    def ready_to_bend(self, zone: int | None = None) -> None:
-        """Grow to full length, settle and zero the sensors, and set the body pressure of a zone.
+    def ready_to_bend(self, body_pressure: int | None = None) -> None:
+        """Grow to full length, settle and zero the sensors, and set a body pressure.
 
-        None keeps the zone of the full length.
+        None keeps the body pressure of the full length.
         """
         self.bring_to(self.config.body.length_cm)
-        self.set_zone(len(self.config.body.zones) - 1)
+        self.set_body_pressure(len(self.config.body.pressures) - 1)
         self.robot.vent()
         self.say("waiting for the sensors to settle")
         self.robot.wait_settled()
         zero(self.robot, self.say)
         self.rest_ohm = self.ohm(self.robot.read(2.0)).tolist()
-        if zone is not None:
-            self.set_zone(zone)
+        if body_pressure is not None:
+            self.set_body_pressure(body_pressure)
 
     def rows(
         self,
@@ -272,7 +273,8 @@ def growth_rows(bench: Bench) -> list[Row]:
 
     def stop(length: float) -> None:
         for row in drive.rows():
-            bench.session.add("drive", {"key": f"stop {length:g} zone {row['zone']}", **row})
+            key = f"stop {length:g} body pressure {row['body_pressure']}"
+            bench.session.add("drive", {"key": key, **row})
         key = _stop_key(length)
         if key in stored:
             return
@@ -318,7 +320,7 @@ def bend_set_points(bench: Bench, muscle: Muscle) -> list[tuple[str, float]]:
     return [("inflate", p) for p in up] + [("deflate", p) for p in reversed(up[:-1])]
 
 
-def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
+def bend_rows(bench: Bench, body_pressures: Iterable[int]) -> list[Row]:
     """Free bends of the plane's muscles at full length, for each body pressure."""
     config, length = bench.config, bench.config.body.length_cm
 
@@ -335,26 +337,27 @@ def bend_rows(bench: Bench, zones: Iterable[int]) -> list[Row]:
         }  # fmt: skip
 
     rows: list[Row] = []
-    for zone in zones:
-        body = config.body.zones[zone].pressure_psi
+    for body_pressure in body_pressures:
+        body = config.body.pressures[body_pressure].pressure_psi
         planned = {
-            f"zone {zone} trial {trial} {muscle.name} {branch} {psi:g}": {
-                "zone": zone, "body_psi": body, "trial": trial, "side": muscle.side,
+            f"body pressure {body_pressure} trial {trial} {muscle.name} {branch} {psi:g}": {
+                "body_pressure": body_pressure, "body_psi": body, "trial": trial,
+                "side": muscle.side,
                 "branch": branch, "psi": psi,
             }
             for trial in range(bench.plan.trials)
             for muscle in map(config.muscle, config.sides)
             for branch, psi in bend_set_points(bench, muscle)
         }  # fmt: skip
-        rows.extend(bench.rows("bends", planned, take, partial(bench.ready_to_bend, zone)))
+        rows.extend(bench.rows("bends", planned, take, partial(bench.ready_to_bend, body_pressure)))
         bench.robot.vent()
     return rows
 
 
 def last_bends(bench: Bench) -> list[Row]:
     """Free bends at the last body pressure, taken now unless all of them are stored."""
-    last = len(bench.config.body.zones) - 1
-    bends = [row for row in bench.session.rows("bends").values() if row["zone"] == last]
+    last = len(bench.config.body.pressures) - 1
+    bends = [row for row in bench.session.rows("bends").values() if row["body_pressure"] == last]
     muscles = [muscle for muscle in bench.config.muscles if muscle.side]
     if len(bends) < sum(len(bend_set_points(bench, muscle)) for muscle in muscles):
         return bend_rows(bench, [last])
@@ -379,15 +382,15 @@ def _strain(bench: Bench) -> Row:
     return {"strain": bench.robot.read_fibre(READ_S).strain_ue.tolist()}
 
 
-def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list[Row]:
+def unseen_bend_rows(bench: Bench, body_pressures: Iterable[int], muscle: Muscle) -> list[Row]:
     """Free bends of a muscle out of the plane, which the camera does not see.
 
     Each row holds the changes of resistance of all inputs from the straight robot.
     """
     straight: list[Array] = []
 
-    def prepare(zone: int) -> None:
-        bench.ready_to_bend(zone)
+    def prepare(body_pressure: int) -> None:
+        bench.ready_to_bend(body_pressure)
         straight[:] = [bench.robot.read(2.0).resistance]
 
     def take(key: str, set_point: Row) -> Row:
@@ -400,15 +403,16 @@ def unseen_bend_rows(bench: Bench, zones: Iterable[int], muscle: Muscle) -> list
         }
 
     rows: list[Row] = []
-    for zone in zones:
+    for body_pressure in body_pressures:
         planned = {
-            f"zone {zone} trial {trial} {muscle.name} {branch} {psi:g}": {
-                "zone": zone, "trial": trial, "muscle": muscle.name, "branch": branch, "psi": psi,
+            f"body pressure {body_pressure} trial {trial} {muscle.name} {branch} {psi:g}": {
+                "body_pressure": body_pressure, "trial": trial, "muscle": muscle.name,
+                "branch": branch, "psi": psi,
             }
             for trial in range(bench.plan.trials)
             for branch, psi in bend_set_points(bench, muscle)
         }  # fmt: skip
-        rows.extend(bench.rows("unseen_bends", planned, take, partial(prepare, zone)))
+        rows.extend(bench.rows("unseen_bends", planned, take, partial(prepare, body_pressure)))
         bench.robot.vent()
     return rows
 
@@ -462,7 +466,7 @@ def lean_rows(bench: Bench) -> list[Row]:
 
     def prepare() -> None:
         bench.bring_to(body.length_cm)
-        bench.set_zone(len(body.zones) - 1)
+        bench.set_body_pressure(len(body.pressures) - 1)
         bench.robot.vent()
 
     def take(key: str, y_cm: float) -> Row:

@@ -64,7 +64,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
     body = bench.config.body
     signs = _readable_signs(bench.config, body.length_cm)
     folds_at = critical_moment(
-        body.critical_curvature, body.critical_pressure_psi, body.zones[-1].pressure_psi
+        body.critical_curvature, body.critical_pressure_psi, body.pressures[-1].pressure_psi
     )
     deepest = min(_HARD * folds_at, _BENT / body.length_cm)
     depths = [deepest] if _in_fold(bench.config).any() else [deepest / _DEEPER, deepest]
@@ -76,7 +76,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
         no_trials = np.empty(0)
         verdict = Verdict(False, reason)
         return BucklingResult(
-            np.nan, np.inf, no_trials, no_trials, body.zones[-1].pressure_psi, verdict
+            np.nan, np.inf, no_trials, no_trials, body.pressures[-1].pressure_psi, verdict
         )
 
     def take(key: str, moment: float) -> Row:
@@ -110,7 +110,7 @@ def guided(bench: Bench, fit: Fit | None = None) -> BucklingResult:
         pushed_k -= loop * turn[1::2]
     fitted = fit or fit_buckling
     result = fitted(
-        pushed_k - straight_k, body.zones[-1].pressure_psi, body.length_cm, bench.config
+        pushed_k - straight_k, body.pressures[-1].pressure_psi, body.length_cm, bench.config
     )
     return _require_fold(result, np.abs(column(rows, "moment")), bench.config)
 

@@ -37,7 +37,7 @@ class CheckReadings:
     camera_bend: dict[Side, float]  # curvature by camera, 1/cm, by side; empty without a camera
     # (t, 2) time (s) and pressure (psi) while the muscle of a side is held, to find leaks
     hold_psi: dict[Side, Array]
-    zone: int = 0  # pressure zone in use
+    body_pressure: int = 0  # number of the one in use
     # by name of a muscle out of the plane: bend by the sensors, 1/cm (nan if none reads it), and
     # (t, 2) time and pressure while it is held
     out_of_plane: dict[str, tuple[float, Array]] = field(default_factory=dict)
@@ -58,7 +58,9 @@ def guided(bench: Bench) -> CheckResult:
     reads = [robot.read(0.25) for _ in range(8)]
     rest_ohm, straight = np.array([bench.ohm(reading) for reading in reads]), reads[-1].resistance
     top = 0.7 * min(muscle.max_pressure_psi for muscle in config.muscles)
-    readings = CheckReadings(rest_ohm, {}, top, {}, {}, zone=len(config.body.zones) - 1)
+    readings = CheckReadings(
+        rest_ohm, {}, top, {}, {}, body_pressure=len(config.body.pressures) - 1
+    )
     for number, muscle in enumerate(config.muscles):
         bench.press(muscle.name, top)
         robot.wait(STEADY_S)
@@ -103,7 +105,7 @@ def run_check(readings: CheckReadings, config: RobotConfig) -> CheckResult:
         tight = f"{config.muscle(side).name} muscle's tightness"
         findings.append(Finding(tight, *_judge_hold(readings.hold_psi[side])))
     for name, (bend, hold) in readings.out_of_plane.items():
-        muscle_map = config.muscles[config.muscle_number(name)].maps[readings.zone]
+        muscle_map = config.muscles[config.muscle_number(name)].maps[readings.body_pressure]
         expected = muscle_map.inflate.curvature(readings.bend_psi)
         if not np.isfinite(bend):
             text = "is not calibrated: no healthy sensor reads its bend, out of the plane"
@@ -147,7 +149,7 @@ def _judge_bend(
     """Findings of one inflated muscle: camera and sensors of both sides against the map."""
     sign = SIGN[side]
     muscle = config.muscle(side)
-    mapped = muscle.maps[readings.zone].inflate
+    mapped = muscle.maps[readings.body_pressure].inflate
     expected = sign * mapped.curvature(readings.bend_psi)
     target = measured = readings.camera_bend.get(side)
     subject = f"{muscle.name} muscle"

@@ -44,19 +44,20 @@ class Drive(AbstractContextManager["Drive"]):
         """Duty and encoder counts a second at each body pressure used since the last call."""
         samples, self._samples = np.array(self._samples).reshape(-1, 3), []
         body, spool = self._config.body, self._config.spool
-        zones = np.array([body.zone_at(length) for length in samples[:, 1]])
+        body_pressures = np.array([body.pressure_number(length) for length in samples[:, 1]])
         duties = []
-        for zone in range(len(body.zones)):
-            in_zone = samples[zones == zone]
+        for body_pressure in range(len(body.pressures)):
+            at_pressure = samples[body_pressures == body_pressure]
             # The end of a growth may lie beyond a boundary, and the next one begins later.
-            pauses = np.flatnonzero(np.diff(in_zone[:, 0]) > _PAUSE_S) + 1
-            t, length, duty = max(np.split(in_zone, pauses), key=len).T
+            pauses = np.flatnonzero(np.diff(at_pressure[:, 0]) > _PAUSE_S) + 1
+            t, length, duty = max(np.split(at_pressure, pauses), key=len).T
             if not len(t) or np.ptp(t) < _SHORTEST_S:
                 continue
             middle = np.abs(t - (t[0] + t[-1]) / 2) < np.ptp(t) / 4
             cm_s = float(np.polyfit(t[middle], length[middle], 1)[0])
             duties.append({
-                "zone": zone, "duty": float(duty[middle].mean()), "dead_zone": self._dead_zone,
+                "body_pressure": body_pressure, "duty": float(duty[middle].mean()),
+                "dead_zone": self._dead_zone,
                 "counts_s": cm_s * spool.counts_per_cm * spool.payout_ratio,
             })  # fmt: skip
         return duties
@@ -68,9 +69,9 @@ def pull_duty(rows: Sequence[Row], counts_per_cm: float, config: RobotConfig) ->
     The smallest of the measured differences, so that a sound encoder is never called faulty. None
     at a body pressure that was not measured.
     """
-    saved: list[list[float]] = [[] for _ in config.body.zones]
+    saved: list[list[float]] = [[] for _ in config.body.pressures]
     for row in rows:
         line_cm_s = row["counts_s"] / counts_per_cm
         turning = line_cm_s / config.spool.line_speed_cm_s * (_FULL - row["dead_zone"])
-        saved[row["zone"]].append(row["dead_zone"] + turning - row["duty"])
+        saved[row["body_pressure"]].append(row["dead_zone"] + turning - row["duty"])
     return [min(duties, default=None) for duties in saved]

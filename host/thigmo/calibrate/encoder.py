@@ -40,9 +40,9 @@ class EncoderResult(StepResult):
     def write(self, config: RobotConfig) -> None:
         """Put in counts per cm, and the pull's duty at each body pressure."""
         config.spool.counts_per_cm = self.counts_per_cm
-        for zone, saved in zip(config.body.zones, self.pull_duty, strict=True):
+        for pressure, saved in zip(config.body.pressures, self.pull_duty, strict=True):
             if saved is not None:
-                zone.pull_duty = round(saved, 1)
+                pressure.pull_duty = round(saved, 1)
 
 
 def guided(bench: Bench) -> EncoderResult:

@@ -50,7 +50,7 @@ class Lag:
     deflate_se_s: float
 
 
-def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] | None:
+def ramp(bench: Bench, muscle: Muscle, body_pressure: int) -> tuple[Array, Array, Array] | None:
     """Record ramps up and down: time (s), pressure (psi) and curvature towards a muscle (1/cm).
 
     The curvature is the mean of the sensors that read the bend, shifted to be as late as the base
@@ -77,8 +77,9 @@ def ramp(bench: Bench, muscle: Muscle, zone: int) -> tuple[Array, Array, Array] 
         step = max(1, round(_RAMP_FRAME_S / float(np.median(np.diff(t)))))
         return {"t_s": t[::step], "psi": psi[::step], "ohm": ohm[::step]}
 
-    prepare = partial(bench.ready_to_bend, zone)
-    (row,) = bench.rows("lag", {f"ramp {muscle.name} zone {zone}": None}, take, prepare)
+    prepare = partial(bench.ready_to_bend, body_pressure)
+    key = f"ramp {muscle.name} body pressure {body_pressure}"
+    (row,) = bench.rows("lag", {key: None}, take, prepare)
     t, psi, ohm = (np.array(row[name], float) for name in ("t_s", "psi", "ohm"))
     later = _LATER_SCAN_S * (1 << robot.parameter("oversample_log2")[0])
     bends = [

@@ -135,7 +135,8 @@ def blank(config: RobotConfig) -> RobotConfig:
         muscle.lag_s = defaults.muscles[0].lag_s
         muscle.offset_se = defaults.muscles[0].offset_se
         muscle.maps = [
-            MuscleMap(body_pressure_psi=zone.pressure_psi) for zone in blank_config.body.zones
+            MuscleMap(body_pressure_psi=pressure.pressure_psi)
+            for pressure in blank_config.body.pressures
         ]
     if blank_config.body.folds:
         blank_config.body.critical_curvature = defaults.body.critical_curvature
@@ -144,8 +145,8 @@ def blank(config: RobotConfig) -> RobotConfig:
     blank_config.body.base_compliance_se_cm = defaults.body.base_compliance_se_cm
     blank_config.body.stiffness_n_cm2 = None
     blank_config.spool.counts_per_cm = defaults.spool.counts_per_cm
-    for zone in blank_config.body.zones:
-        zone.pull_duty = 0.0
+    for pressure in blank_config.body.pressures:
+        pressure.pull_duty = 0.0
     return blank_config
 
 

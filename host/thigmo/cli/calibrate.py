@@ -40,7 +40,7 @@ def calibrate(
         Path | None, typer.Option(help="Fit this file of readings instead; no robot is used.")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option(help="robot.toml to start from: geometry and zones.")
+        Path | None, typer.Option(help="robot.toml to start from: geometry and body pressures.")
     ] = None,
     camera: Annotated[
         str,
@@ -53,9 +53,9 @@ def calibrate(
         int,
         typer.Option(help="Pictures in the stiffness step, beside those of the tip places.", min=2),
     ] = 12,
-    zone: Annotated[
+    body_pressure: Annotated[
         list[int] | None,
-        typer.Option(help="Only this body-pressure zone, from 0; may be given more than once."),
+        typer.Option(help="Only this body pressure, from 0; may be given more than once."),
     ] = None,
     method: Annotated[
         Literal["thesis"] | None,
@@ -166,7 +166,8 @@ def calibrate(
         known = machine.known_config
         session = Session(folder, start or (blank(known) if known else None))
         plan = Plan(trials=trials, step_psi=step_psi, places=places,
-                    pictures=pictures, zones=tuple(zone) if zone else None)  # fmt: skip
+                    pictures=pictures,
+                    body_pressures=tuple(body_pressure) if body_pressure else None)  # fmt: skip
         overhead = _overhead_camera(machine, session, camera)
         bench = Bench(machine, overhead, session, plan, say)
         if step == "all":

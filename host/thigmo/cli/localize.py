@@ -259,7 +259,7 @@ def _calibrated(
             )
         free.remove(near)
         sensors.append(near)
-    zone = robot.body.zone_at(length_cm)
+    body_pressure = robot.body.pressure_number(length_cm)
     if table.strain is not None:
         if any(sensor.on_board for sensor in sensors):
             raise DataError(
@@ -269,7 +269,7 @@ def _calibrated(
         bends = [sensor.reading(strain_ue) for sensor, strain_ue in pairs]
         table = replace(table, curvature=np.array(bends))
     rest = rest_mean(robot.body.rest_pieces, table.position, [sensor.span_cm for sensor in sensors])
-    return errors_of(robot, inflated, zone, sensors).arguments(), table, rest
+    return errors_of(robot, inflated, body_pressure, sensors).arguments(), table, rest
 
 
 def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -13,6 +13,13 @@ from thigmo.cli.output import JsonOption, filled, show
 robot = typer.Typer(help="Draft a robot, or check it.", no_args_is_help=True)
 
 _FileArgument = Annotated[Path, typer.Argument(help="robot.toml.")]
+
+
+def _kinds(begun: str) -> list[str]:
+    """Kinds of sensors for the shell to complete."""
+    from thigmo.design.draft import LAYOUTS
+
+    return [kind for kind in LAYOUTS if kind.startswith(begun)]
 
 
 @robot.command()
@@ -29,8 +36,12 @@ def new(
         ),
     ] = 2,
     kind: Annotated[
-        Literal["flex", "heading", "fibre"],
-        typer.Option(help="Kind of the sensors: flex, heading (one string of IMUs) or fibre."),
+        str,
+        typer.Option(
+            help="Kind of the sensors: flex, heading (one string of IMUs), fibre, or any other "
+            "that robot.toml has.",
+            autocompletion=_kinds,
+        ),
     ] = "flex",
     diameter: Annotated[float, typer.Option(help="Diameter of the tube, cm.")] = 3.5,
     out: Annotated[Path, typer.Option(help="Folder for robot.toml and scene.toml.")] = Path(

@@ -33,7 +33,7 @@ from thigmo.config import (
 from thigmo.errors import ConfigError
 
 SHORTEST_CM, LONGEST_CM = 30.0, 300.0
-_ZONES = ((0.5, 1.47), (2 / 3, 1.01), (1.0, 0.49))  # share of the length, psi (thesis, 3.5)
+_PRESSURES = ((0.5, 1.47), (2 / 3, 1.01), (1.0, 0.49))  # share of the length, psi (thesis, 3.5)
 _MAPPED_PSI, _AMPLITUDE = (0.49, 1.01, 1.47), (0.030, 0.028, 0.026)  # scenes/default.toml
 _FULL_BEND_RAD = 2.5
 _GROWTH_MARGIN = 1.35  # body pressure over the pressure that growth needs
@@ -53,7 +53,6 @@ _MUSCLES_DEG: dict[int, tuple[float, ...]] = {
     3: (90.0, 210.0, 330.0),
     4: (90.0, 180.0, 270.0, 0.0),
 }
-Kind = Literal["flex", "heading", "fibre"]
 
 
 def draft(
@@ -62,7 +61,7 @@ def draft(
     muscles: int,
     diameter_cm: float = 3.5,
     name: str = "",
-    kind: Kind = "flex",
+    kind: str = "flex",
 ) -> RobotConfig:
     """Draft a robot.
 
@@ -82,7 +81,8 @@ def draft(
         kind: kind of the sensors; each heading sensor ends with an IMU.
 
     Raises:
-        ConfigError: a number is out of range, or the sensors do not fit the length.
+        ConfigError: a number is out of range, the sensors do not fit the length, or their kind
+            is unknown.
     """
     if not SHORTEST_CM <= length_cm <= LONGEST_CM:
         raise ConfigError(
@@ -92,7 +92,8 @@ def draft(
         raise ConfigError(
             f"{muscles} muscles", "give 0, 1 or 2 in a plane, or 3 or 4 around the body"
         )
-    layout = _LAYOUTS[kind]
+    if (layout := LAYOUTS.get(kind)) is None:
+        raise ConfigError(f"no sensors of kind {kind!r}", f"use {', '.join(LAYOUTS)}")
     if muscles > 2 and layout.plane_only:
         raise ConfigError(
             f"{muscles} muscles with sensors of kind {kind}: {layout.plane_only}",
@@ -184,7 +185,7 @@ def _grating(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """How a kind of sensors is laid along a robot."""
 
     place: Callable[[float, float, int], list[Sensor]]  # at a direction and pitch, by number
@@ -196,16 +197,16 @@ class _Layout:
     board: Callable[[], BoardSettings] = BoardSettings
 
 
-_LAYOUTS: dict[Kind, _Layout] = {
-    "flex": _Layout(_flex, 1.0 + _GAP_CM),
-    "heading": _Layout(
+LAYOUTS: dict[str, Layout] = {
+    "flex": Layout(_flex, 1.0 + _GAP_CM),
+    "heading": Layout(
         _imu,
         _CLEAR_CM + 2 * IMU_CM,
         "the board's reader of IMUs measures turns about one axis",
         one_column=True,
         board=partial(BoardSettings, settle_s=_REST_S),
     ),
-    "fibre": _Layout(
+    "fibre": Layout(
         _grating,
         _GRATING_CM,
         "a fibre feels contacts in the plane only",
@@ -220,7 +221,7 @@ def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
     usual = Body()
     friction = usual.growth_psi_per_cm * usual.diameter_cm / diameter_cm
     pressures = []
-    for share, psi in _ZONES:
+    for share, psi in _PRESSURES:
         end_cm = share * length_cm
         needed = _GROWTH_MARGIN * (usual.growth_psi + friction * end_cm)
         pressures.append(
@@ -232,7 +233,7 @@ def _body(length_cm: float, diameter_cm: float, pitch_cm: float) -> Body:
         diameter_cm=diameter_cm,
         pitch_cm=pitch_cm,
         growth_psi_per_cm=round(friction, 5),
-        zones=pressures,
+        pressures=pressures,
     )
 
 
@@ -242,7 +243,7 @@ def _muscle(towards_deg: float, body: Body) -> Muscle:
         name=side_at(towards_deg) or f"{towards_deg:g}deg",
         direction_deg=towards_deg,
         lag_s=0.31,
-        maps=[_map(zone.pressure_psi, share, (9.0, 7.8)) for zone in body.zones],
+        maps=[_map(pressure.pressure_psi, share, (9.0, 7.8)) for pressure in body.pressures],
     )
 
 

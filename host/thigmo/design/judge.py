@@ -127,11 +127,11 @@ def _inputs(wiring: Wiring) -> Iterator[Finding]:
 
 def _growth(config: RobotConfig) -> Iterator[Finding]:
     body, spool = config.body, config.spool
-    for zone in body.zones:
-        part = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
-        end = min(zone.until_cm, body.length_cm)
+    for pressure in body.pressures:
+        part = f"{pressure.pressure_psi:g} psi, to {pressure.until_cm:g} cm"
+        end = min(pressure.until_cm, body.length_cm)
         needed = body.growth_psi + body.growth_psi_per_cm * end
-        if zone.pressure_psi > needed:
+        if pressure.pressure_psi > needed:
             yield Finding(part, "ok", f"grows: {needed:.2f} psi are needed at its end")
         else:
             yield Finding(
@@ -139,14 +139,14 @@ def _growth(config: RobotConfig) -> Iterator[Finding]:
                 "bad",
                 f"does not grow to its end, which needs {needed:.2f} psi: raise this pressure",
             )
-        pull = body.pull_n(zone.pressure_psi)
+        pull = body.pull_n(pressure.pressure_psi)
         pull_text = f"the body pulls {pull:.1f} N at the spool at rest"
         if spool.brake:
             yield _braked(part, pull_text, spool, pull)
         elif pull <= spool.holding_n:
             yield Finding(part, "ok", f"{pull_text}, and friction holds {spool.holding_n:g} N")
         else:
-            holds = zone.pressure_psi * spool.holding_n / pull
+            holds = pressure.pressure_psi * spool.holding_n / pull
             yield Finding(
                 part,
                 "bad",
@@ -228,8 +228,8 @@ def _folds(config: RobotConfig) -> Iterator[Finding]:
     """Whether the base folds before a contact is felt."""
     if not config.body.folds:
         return
-    for zone, moment in zip(config.body.zones, _fold_moments(config), strict=True):
-        part = f"{zone.pressure_psi:g} psi, to {zone.until_cm:g} cm"
+    for pressure, moment in zip(config.body.pressures, _fold_moments(config), strict=True):
+        part = f"{pressure.pressure_psi:g} psi, to {pressure.until_cm:g} cm"
         if moment > TRIGGER_PER_CM:
             yield Finding(part, "ok", f"the base folds at a contact moment of {moment:.4f} 1/cm")
         else:
@@ -268,11 +268,11 @@ def _out_of_plane(wiring: Wiring, muscle: Muscle) -> Iterator[Finding]:
 
 def _maps(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
     """Maps of a muscle that were measured at another body pressure than they are used at."""
-    for zone, muscle_map in zip(config.body.zones, muscle.maps, strict=True):
-        apart_psi = abs(muscle_map.body_pressure_psi - zone.pressure_psi)
-        if apart_psi > SAME_PRESSURE * zone.pressure_psi:
+    for pressure, muscle_map in zip(config.body.pressures, muscle.maps, strict=True):
+        apart_psi = abs(muscle_map.body_pressure_psi - pressure.pressure_psi)
+        if apart_psi > SAME_PRESSURE * pressure.pressure_psi:
             text = (
-                f"its map for {zone.pressure_psi:g} psi is of {muscle_map.body_pressure_psi:g} "
+                f"its map for {pressure.pressure_psi:g} psi is of {muscle_map.body_pressure_psi:g} "
                 "psi: correct body_pressure_psi, or measure it (`thigmo calibrate actuator`)"
             )
             yield Finding(f"muscle {muscle.name}", "bad", text)
@@ -281,8 +281,8 @@ def _maps(config: RobotConfig, muscle: Muscle) -> Iterator[Finding]:
 def _fold_moments(config: RobotConfig) -> list[float]:
     body = config.body
     return [
-        critical_moment(body.critical_curvature, body.critical_pressure_psi, zone.pressure_psi)
-        for zone in body.zones
+        critical_moment(body.critical_curvature, body.critical_pressure_psi, pressure.pressure_psi)
+        for pressure in body.pressures
     ]
 
 

@@ -80,7 +80,7 @@ def _fold(config: RobotConfig) -> Iterator[Finding]:
             )
             unit = "N cm2, and are those in cm (the diameter, not the radius), psi and 1/cm"
             yield _question("body.stiffness_n_cm2", body.stiffness_n_cm2, says, unit)
-    set_psi = [zone.pressure_psi for zone in body.zones]
+    set_psi = [pressure.pressure_psi for pressure in body.pressures]
     if not min(set_psi) / _PRESSURES <= body.critical_pressure_psi <= max(set_psi) * _PRESSURES:
         says = f"the body is set to {min(set_psi):g} to {max(set_psi):g} psi"
         yield _question("body.critical_pressure_psi", body.critical_pressure_psi, says, "psi")

@@ -111,7 +111,7 @@ class Plant:
         self.steps = 0
         # A body of fixed length is there from the start.
         start_cm = scene.start_length_cm if robot.body.grows else robot.body.length_cm
-        self.body_psi = robot.body.zones[robot.body.zone_at(start_cm)].pressure_psi
+        self.body_psi = robot.body.pressures[robot.body.pressure_number(start_cm)].pressure_psi
         self._regulator_psi = self.body_psi
         self._body_air = 0.0 if scene.enables.fitted else 1.0  # share of it that the body holds
 

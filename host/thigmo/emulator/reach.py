@@ -72,10 +72,12 @@ def sweep_once(
     That is, where no peg is touched, or no sensor answers to the muscle.
     """
     body = robot.body
-    zone = body.zone_at(length_cm)
+    body_pressure = body.pressure_number(length_cm)
     muscle = robot.muscle(side)
     crit = critical_moment(
-        body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
+        body.critical_curvature,
+        body.critical_pressure_psi,
+        body.pressures[body_pressure].pressure_psi,
     )
     tube = Tube(body.diameter_cm, crit, rest_curvature=body.rest_pieces)
     model = Rod(tube, pegs, model="auto")
@@ -89,7 +91,7 @@ def sweep_once(
     touches: list[tuple[float, float]] = []  # pressure and base contact curvature while it touches
     top = muscle.max_pressure_psi
     for pressure in np.linspace(0.0, top, max(2, round(top / _STEP_PSI) + 1))[1:].tolist():
-        g = sign * muscle.maps[zone].inflate.curvature(pressure)
+        g = sign * muscle.maps[body_pressure].inflate.curvature(pressure)
         model.step(g, length_cm)
         if model.touching:
             model.averages_into(center, span, mean)

@@ -2,9 +2,10 @@
 
 A scene is TOML. Everything has a default, so the shortest scene is an empty file: the robot of
 `RobotConfig` in an empty room. `extends = "default"` starts from another scene: tables are merged,
-lists (pegs, faults, sensors, zones, maps) are replaced. `scenes/default.toml` shows every key with
-its source; what is a guess is marked [G] there. `robot` holds the *true* constants; `belief` says
-how far the host's robot.toml is off. Lengths in cm, pressures in psi, curvature in 1/cm, time in s.
+lists (pegs, faults, sensors, pressures, maps) are replaced. `scenes/default.toml` shows every key
+with its source; what is a guess is marked [G] there. `robot` holds the *true* constants; `belief`
+says how far the host's robot.toml is off. Lengths in cm, pressures in psi, curvature in 1/cm, time
+in s.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pydantic import Field, model_validator
 
 from thigmo.config import (
     SIDES,
+    FlexSensor,
     HeadingSensor,
     RobotConfig,
     Side,
@@ -372,7 +374,8 @@ class Scene(Model):
                     sensor.scale_se = hypot(sensor.scale_se, end_error)
                     sensor.center_cm, sensor.span_cm = (start + end) / 2, end - start
                     continue
-                sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
+                if isinstance(sensor, FlexSensor):
+                    sensor.zero_se = max(sensor.zero_se, self.noise.hysteresis)
                 top = config.body.length_cm - sensor.span_cm / 2
                 moved += sensor.center_cm
                 sensor.center_cm = float(min(max(moved, sensor.span_cm / 2 + 1e-3), top))

@@ -136,14 +136,14 @@ class PtyServer:
             self._give()
 
     def _set_regulator(self, data: bytes) -> None:
-        """The body pressure of the zone that the host names, if it does."""
-        zones = self.lockstep.plant.scene.robot.body.zones
+        """The body pressure that the host names, if it does."""
+        pressures = self.lockstep.plant.scene.robot.body.pressures
         for frame in self._heard.feed(data):
             if frame.id != SelectZone.ID or len(frame.payload) != SelectZone.SIZE:
                 continue
-            zone = SelectZone.unpack(frame.payload).zone
-            if zone < len(zones):
-                self.lockstep.plant.set_body_pressure(zones[zone].pressure_psi)
+            body_pressure = SelectZone.unpack(frame.payload).zone
+            if body_pressure < len(pressures):
+                self.lockstep.plant.set_body_pressure(pressures[body_pressure].pressure_psi)
 
     def _take(self) -> bytes:
         with suppress(OSError):  # closed between poll and read

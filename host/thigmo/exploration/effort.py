@@ -163,7 +163,7 @@ class Planner:
         columns = (config.column(side) for side in SIDES)
         base_cm = max((c[0].center_cm + c[0].span_cm / 2 for c in columns if c), default=0.0)
         pitches = self._lengths
-        boundaries = [zone.until_cm for zone in config.body.zones]
+        boundaries = [pressure.until_cm for pressure in config.body.pressures]
         spent, settled_s = 0.0, settles_s
         if length_cm < base_cm:
             spent = _PRESSURE_S
@@ -174,7 +174,7 @@ class Planner:
             ]
             spent += max(stop - length_cm, 0.0) / speed + _GROWS_MORE_S * (1 + len(passed))
             spent += _PRESSURE_S * sum(end in boundaries for end in passed)
-            look_s = 2 * (rising_period_s(config, config.body.zone_at(stop)) / 4 + _VENTS_S)
+            look_s = 2 * (rising_period_s(config, config.body.pressure_number(stop)) / 4 + _VENTS_S)
             spent = max(spent + _ZERO_S, settled_s + _ZERO_SETTLED_S) + look_s
             if plan.measurements and stop > config.body.length_cm / 2:
                 spent += self.measurement_s(stop, plan.measurements) / 2

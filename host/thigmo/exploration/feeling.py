@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from thigmo.config import DEGREES, SAME_LENGTH_CM, Muscle, RobotConfig, Sensor
 from thigmo.errors import DataError
-from thigmo.exploration.growth import growth_target, growth_zone
+from thigmo.exploration.growth import growth_body_pressure, growth_target
 from thigmo.localization import LocalizeResult, localize
 from thigmo.mechanics import rest_mean
 from thigmo.reading_errors import errors_of
@@ -79,7 +79,7 @@ def prepare(robot: Robot) -> None:
     Raises:
         CommandRefusedError: its readings still drift.
     """
-    robot.pressurize(robot.config.body.zone_at(robot.known_length_cm()))
+    robot.pressurize(robot.config.body.pressure_number(robot.known_length_cm()))
     if robot.status().state == "safe":
         robot.arm()
     robot.vent()
@@ -101,13 +101,13 @@ def grow_until_touched(robot: Robot, length_cm: float, say: Callable[[str], None
         CommandRefusedError: the board refuses to grow or to zero.
     """
     config = robot.config
-    zone: int | None = None
+    body_pressure: int | None = None
     _zero_everted(robot)
     while (grown_cm := robot.known_length_cm()) < length_cm - SAME_LENGTH_CM:
         stop_cm = growth_target(config, grown_cm, length_cm)
-        if (next_zone := growth_zone(config, grown_cm, stop_cm)) != zone:
-            zone = next_zone
-            robot.pressurize(zone)
+        if (next_pressure := growth_body_pressure(config, grown_cm, stop_cm)) != body_pressure:
+            body_pressure = next_pressure
+            robot.pressurize(body_pressure)
         say(f"growing to {stop_cm:.1f} cm")
         robot.grow_to(stop_cm)
         robot.wait(STEADY_S)
@@ -139,7 +139,7 @@ def _by_fibre(robot: Robot) -> Feeling:
         sensors.append(
             grating.model_copy(update={"temperature_se": warmer * grating.temperature_se})
         )
-    zone = config.body.zone_at(reading.length_cm)
+    body_pressure = config.body.pressure_number(reading.length_cm)
     curvature = reading.curvature[known]
     free = np.full(len(sensors), reading.free_curvature)
     result = localize(
@@ -149,7 +149,7 @@ def _by_fibre(robot: Robot) -> Feeling:
         span=[sensor.span_cm for sensor in sensors],
         free_curvature=reading.free_curvature,
         body_curvature=_shape(config, sensors, free),
-        **errors_of(config, reading.side, zone, sensors).arguments(),
+        **errors_of(config, reading.side, body_pressure, sensors).arguments(),
     )
     return Feeling(
         reading.t_s, reading.length_cm, sensors, curvature, free, result,
@@ -160,8 +160,8 @@ def _by_fibre(robot: Robot) -> Feeling:
 def _by_board(robot: Robot, muscle: Muscle | None) -> Feeling:
     config, reading = robot.config, robot.read(READ_S)
     psi = 0.0 if muscle is None else reading.pressure_psi[config.muscles.index(muscle)]
-    zone = config.body.zone_at(reading.length_cm)
-    free_bend = 0.0 if muscle is None else muscle.maps[zone].inflate.curvature(psi)
+    body_pressure = config.body.pressure_number(reading.length_cm)
+    free_bend = 0.0 if muscle is None else muscle.maps[body_pressure].inflate.curvature(psi)
     sensors: list[Sensor] = []
     curvatures, shares = [], []
     for sensor, curvature in zip(robot.wiring.sensors, reading.curvature.tolist(), strict=True):
@@ -183,20 +183,20 @@ def _by_board(robot: Robot, muscle: Muscle | None) -> Feeling:
     bend, free = np.array(curvatures)[order], free_bend * np.array(shares)[order]
     return Feeling(
         reading.t_s, reading.length_cm, sensors, bend, free,
-        _localized(config, muscle, zone, reading.length_cm, sensors, bend, free),
+        _localized(config, muscle, body_pressure, reading.length_cm, sensors, bend, free),
     )  # fmt: skip
 
 
 def _localized(
-    config: RobotConfig, muscle: Muscle | None, zone: int, length_cm: float,
+    config: RobotConfig, muscle: Muscle | None, body_pressure: int, length_cm: float,
     sensors: Sequence[Sensor], curvature: Floats, free: Floats,
 ) -> LocalizeResult:  # fmt: skip
     side = None if muscle is None else muscle.side
-    errors: dict[str, Any] = errors_of(config, side, zone, sensors).arguments()
+    errors: dict[str, Any] = errors_of(config, side, body_pressure, sensors).arguments()
     if muscle is not None:
         errors |= {
             "shared_offset_error": muscle.offset_se,
-            "shared_map_error": muscle.maps[zone].scale_se,
+            "shared_map_error": muscle.maps[body_pressure].scale_se,
         }
     shape = _shape(config, sensors, free)
     whole = np.arange(len(sensors))

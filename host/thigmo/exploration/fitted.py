@@ -67,16 +67,16 @@ class SideFits:
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(
-            zone.inflate.curvature(muscle.max_pressure_psi)
+            muscle_map.inflate.curvature(muscle.max_pressure_psi)
             for muscle in config.muscles
-            for zone in muscle.maps
+            for muscle_map in muscle.maps
         )
         self._atlas = _atlas(config.body.length_cm, _MAP_ERRS * bend)
 
-    def add(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
-        """Add a sweep's readings towards these sides, made in a zone of body pressure."""
+    def add(self, sweep: SweepResult, body_pressure: int, sides: Collection[Side]) -> None:
+        """Add a sweep's readings towards these sides, made at a body pressure."""
         for side in sides:
-            self._sweeps[side].append(Swept(sweep, zone))
+            self._sweeps[side].append(Swept(sweep, body_pressure))
 
     def contacts(self, side: Side) -> list[FittedContact]:
         """What the sweeps of one side touched, in the workspace."""

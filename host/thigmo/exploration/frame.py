@@ -20,17 +20,17 @@ from thigmo.robot import Peak, SensorTable
 from thigmo.wiring import Wiring
 
 
-def localize_frame(peak: Peak, wiring: Wiring, zone: int, method: str) -> LocalizeResult:
+def localize_frame(peak: Peak, wiring: Wiring, body_pressure: int, method: str) -> LocalizeResult:
     """Localize contacts from the averaged readings of one instant of a sweep.
 
-    `zone` is that of the body pressure, `method` that of `localize`. Raises DataError if no sensor
+    `body_pressure` is its number, `method` that of `localize`. Raises DataError if no sensor
     is usable.
     """
     config = wiring.config
     table = SensorTable.laid_out(wiring).warmed(peak.warmth)
     use = np.flatnonzero(table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature))
     sensors = [sensor for n in use if (sensor := wiring.read_sensors[n]) is not None]
-    stated = errors_of(config, peak.side, zone, sensors)
+    stated = errors_of(config, peak.side, body_pressure, sensors)
     averaged = {
         "noise": np.hypot(table.white, peak.added_noise)[use],  # zeros included
         "sensor_zero_error": 0.0,

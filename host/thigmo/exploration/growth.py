@@ -63,17 +63,17 @@ def short_of(config: RobotConfig, length_cm: float) -> RobotConfig:
     return config.model_copy(update={"body": body})
 
 
-def growth_zone(config: RobotConfig, length_cm: float, target_cm: float) -> int:
-    """Index of the body-pressure zone for growing on from a length towards a target.
+def growth_body_pressure(config: RobotConfig, length_cm: float, target_cm: float) -> int:
+    """Number of the body pressure for growing on from a length towards a target.
 
-    On a boundary growth needs the next zone's pressure; without growth, the zone of the length.
+    On a boundary growth needs the next pressure; without growth, that of the length.
     """
     ahead = (
         min(length_cm + SAME_LENGTH_CM, target_cm)
         if target_cm > length_cm + SAME_LENGTH_CM
         else target_cm
     )
-    return config.body.zone_at(ahead)
+    return config.body.pressure_number(ahead)
 
 
 def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> float:
@@ -81,20 +81,22 @@ def growth_target(config: RobotConfig, length_cm: float, stage_cm: float) -> flo
 
     At each stop the sensors show whether the tip has come as far as the encoder says.
     """
-    ends = [*(zone.until_cm for zone in config.body.zones), *stage_lengths(config)]
+    ends = [*(pressure.until_cm for pressure in config.body.pressures), *stage_lengths(config)]
     return min(
         (end for end in ends if length_cm + SAME_LENGTH_CM < end < stage_cm - SAME_LENGTH_CM),
         default=stage_cm,
     )
 
 
-def trial_zone(config: RobotConfig, zone: int) -> int | None:
-    """Zone of the next higher body pressure, at which a stalled growth is tried again.
+def trial_body_pressure(config: RobotConfig, body_pressure: int) -> int | None:
+    """Number of the next higher body pressure, at which a stalled growth is tried again.
 
     None: the robot has no higher one with maps.
     """
-    zones = config.body.zones
+    pressures = config.body.pressures
     above = [
-        n for n, body_zone in enumerate(zones) if body_zone.pressure_psi > zones[zone].pressure_psi
+        n
+        for n, pressure in enumerate(pressures)
+        if pressure.pressure_psi > pressures[body_pressure].pressure_psi
     ]
-    return min(above, key=lambda n: zones[n].pressure_psi, default=None)
+    return min(above, key=lambda n: pressures[n].pressure_psi, default=None)

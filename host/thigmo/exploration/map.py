@@ -53,9 +53,9 @@ class ContactMap:
         self._points: list[MapContact] = []  # by a method without intervals
         self._known: list[MapContact] | None = []  # None: something was added since
 
-    def add_sweep(self, sweep: SweepResult, zone: int, sides: Collection[Side]) -> None:
-        """Add a sweep's readings towards these sides, made in a zone of body pressure."""
-        self.fits.add(sweep, zone, sides)
+    def add_sweep(self, sweep: SweepResult, body_pressure: int, sides: Collection[Side]) -> None:
+        """Add a sweep's readings towards these sides, made at a body pressure."""
+        self.fits.add(sweep, body_pressure, sides)
         self._known = None
 
     def add_points(self, points: Iterable[MapContact]) -> None:

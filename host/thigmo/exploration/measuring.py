@@ -75,25 +75,25 @@ def held_now(frames: Sequence[SweepFrame], side: Side) -> float:
     return float(np.median(last)) if len(last) == _SMOOTH else 0.0
 
 
-def pressed_enough(held_per_cm: float, config: RobotConfig, zone: int) -> bool:
+def pressed_enough(held_per_cm: float, config: RobotConfig, body_pressure: int) -> bool:
     """Whether the base is so near its fold that further bending would add nothing but the fold."""
-    return held_per_cm >= _SHARE * fold_moment(config, zone)
+    return held_per_cm >= _SHARE * fold_moment(config, body_pressure)
 
 
-def pressing_zone(
-    frames: Sequence[SweepFrame], sides: Collection[Side], config: RobotConfig, zone: int
+def pressing_body_pressure(
+    frames: Sequence[SweepFrame], sides: Collection[Side], config: RobotConfig, body_pressure: int
 ) -> int:
-    """Zone at whose body pressure contacts, felt in another zone, can be pressed hardest.
+    """Number of the body pressure at which contacts, felt at another, can be pressed hardest.
 
     `frames` are of the sweep that found them. A body under more pressure folds at a larger moment,
     but its muscles bend it less. From where the trigger fires, the base is held back further by at
     least about as much as the free body would have bent on.
     """
     if any(
-        not pressed_enough(curvature_deficit(frames, side).max(initial=0.0), config, zone)
+        not pressed_enough(curvature_deficit(frames, side).max(initial=0.0), config, body_pressure)
         for side in sides
     ):
-        return zone  # the muscle or a slip limits the moment, and not the fold
+        return body_pressure  # the muscle or a slip limits the moment, and not the fold
 
     def pressed(candidate: int) -> float:
         """What the base can be held back by, 1/cm."""
@@ -106,13 +106,15 @@ def pressing_zone(
         ]
         return min(TRIGGER_PER_CM + min(further), _SHARE * fold_moment(config, candidate))
 
-    psi = [body_zone.pressure_psi for body_zone in config.body.zones]
-    best = max((number for number in range(len(psi)) if psi[number] >= psi[zone]), key=pressed)
-    return best if pressed(best) > _WORTH * pressed(zone) else zone
+    psi = [pressure.pressure_psi for pressure in config.body.pressures]
+    best = max(
+        (number for number in range(len(psi)) if psi[number] >= psi[body_pressure]), key=pressed
+    )
+    return best if pressed(best) > _WORTH * pressed(body_pressure) else body_pressure
 
 
 def measuring_pressure(
-    frames: Sequence[SweepFrame], side: Side, config: RobotConfig, zone: int
+    frames: Sequence[SweepFrame], side: Side, config: RobotConfig, body_pressure: int
 ) -> float:
     """Pressure (psi) to which to sweep a side again for the measurement.
 
@@ -125,6 +127,6 @@ def measuring_pressure(
         return highest
     pressure = np.array([frame.pressure_psi for frame in side_frames])
     held = curvature_deficit(frames, side)
-    reached = np.flatnonzero(held >= _SHARE * fold_moment(config, zone))
+    reached = np.flatnonzero(held >= _SHARE * fold_moment(config, body_pressure))
     frame = reached[0] if reached.size else int(held.argmax())
     return float(min(max(pressure[frame], _LOWEST_PSI), highest))

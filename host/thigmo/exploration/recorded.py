@@ -42,7 +42,7 @@ _ZEROED = 1 << 2  # of sensor_report.flags
 class RecordedSweep:
     """A sweep as it is read off the frames."""
 
-    zone: int
+    body_pressure: int
     sides: set[Side]
     t_s: float
     watcher: SweepWatcher
@@ -60,7 +60,7 @@ class _Frames:
         self._creep: CreepWatch | None = None
         self._clock = DeviceClock()
         self._previous_table = self.table  # the last zeroing
-        self.zone = 0  # of the body pressure
+        self.body_pressure = 0  # of the body pressure
         self._status: wire.StatusReport | None = None
         self._snapshots: list[SweepFrame] = []
         self._events: set[int] = set()
@@ -107,7 +107,7 @@ class _Frames:
             case wire.Hello():
                 self._events.clear()
             case wire.SelectZone():
-                self.zone = message.zone
+                self.body_pressure = message.zone
             case wire.StatusReport():
                 self._status = message
             case wire.Arm():
@@ -163,7 +163,7 @@ class _Frames:
         )
         pressed = zip(muscles, command.amplitude_cpsi, strict=False)
         sides = {side for side, top in pressed if top > 0}
-        self.sweeps.append(RecordedSweep(self.zone, sides, t_s, watcher))
+        self.sweeps.append(RecordedSweep(self.body_pressure, sides, t_s, watcher))
 
     def _snapshot(self, message: wire.Snapshot, watcher: SweepWatcher) -> None:
         if message.index == 0:

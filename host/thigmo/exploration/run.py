@@ -16,18 +16,18 @@ from thigmo.config import SAME_LENGTH_CM, RobotConfig, Side
 from thigmo.errors import CommandRefusedError, DataError
 from thigmo.exploration.effort import Plan, Planner
 from thigmo.exploration.growth import (
+    growth_body_pressure,
     growth_target,
-    growth_zone,
     short_of,
     stage_lengths,
-    trial_zone,
+    trial_body_pressure,
 )
 from thigmo.exploration.map import peg_ahead
 from thigmo.exploration.measuring import (
     held_now,
     measuring_pressure,
     pressed_enough,
-    pressing_zone,
+    pressing_body_pressure,
 )
 from thigmo.exploration.obstacles import export_obstacles
 from thigmo.exploration.prior import obstacle_ahead
@@ -84,8 +84,8 @@ class Exploration:
     length_cm: float = 0.0  # everted length
     _stage_cm: float = 0.0
     _start_cm: float = 0.0  # length at which the stage's growth began
-    _zone: int = 0
-    _measured_zone: int = 0  # of the body pressure at which the stage's contacts are measured
+    _body_pressure: int = 0
+    _measured_body_pressure: int = 0  # at which the stage's contacts are measured
     _body_psi: float | None = None  # what the operator last set
     # sides with a contact that the stage's first sweep has not placed well enough
     _unplaced: set[Side] = field(default_factory=set)
@@ -239,15 +239,16 @@ class Exploration:
         return "grow" if grows else "sweep here"
 
     def _pressurize(self) -> str:
-        self._zone = growth_zone(self.config, self.length_cm, self._stage_cm)
-        zones = self.config.body.zones
+        self._body_pressure = growth_body_pressure(self.config, self.length_cm, self._stage_cm)
+        pressures = self.config.body.pressures
         raised = self._knowledge.raised
-        if raised is not None and zones[raised].pressure_psi > zones[self._zone].pressure_psi:
-            self._zone = raised
-        pressure = self.config.body.zones[self._zone].pressure_psi
+        planned_psi = pressures[self._body_pressure].pressure_psi
+        if raised is not None and pressures[raised].pressure_psi > planned_psi:
+            self._body_pressure = raised
+        pressure = pressures[self._body_pressure].pressure_psi
         if self.protocol == "thesis" or pressure != self._body_psi:
             try:
-                self._set_body_pressure(self._zone)
+                self._set_body_pressure(self._body_pressure)
             except DataError:
                 if self._knowledge.tried is None:
                     raise
@@ -255,18 +256,18 @@ class Exploration:
                 self._end_at_obstruction()
                 return "stalled, nobody to ask"
         else:
-            self.robot.select_zone(self._zone)
+            self.robot.select_body_pressure(self._body_pressure)
         return "pressure set"
 
-    def _set_body_pressure(self, zone: int) -> None:
-        """Ask for the body pressure of a zone, and tell the board which it is.
+    def _set_body_pressure(self, body_pressure: int) -> None:
+        """Ask for a body pressure, and tell the board which it is.
 
         Raises DataError if nobody is there to set it.
         """
-        pressure = self.config.body.zones[zone].pressure_psi
+        pressure = self.config.body.pressures[body_pressure].pressure_psi
         if pressure:
             self.live.tell(Log, "info", f"the operator sets the body pressure to {pressure:g} psi")
-        self.robot.pressurize(zone)
+        self.robot.pressurize(body_pressure)
         self._body_psi = pressure
 
     def _grow(self) -> str:
@@ -316,9 +317,9 @@ class Exploration:
         self.live.tell(Log, "warning" if retraction.late else "info", retraction.words)
         if held_bent:
             return "clear of what held it"
-        higher = trial_zone(self.config, self._zone)
+        higher = trial_body_pressure(self.config, self._body_pressure)
         if self._knowledge.tried is None and higher is not None:
-            self._knowledge.tries_more_pressure(zone=higher)
+            self._knowledge.tries_more_pressure(body_pressure=higher)
             self._begin_growth()
             self.live.tell(Log, "info", "growth stalled: it is tried at a higher body pressure")
             return "stalled: more pressure"
@@ -387,11 +388,11 @@ class Exploration:
                 for muscle in self.config.muscles
                 if muscle not in self.wiring.unguarded_muscles
             },
-            period_s=period_s(self.config, self._zone),
+            period_s=period_s(self.config, self._body_pressure),
             rising_only=not thesis,
             enough=None if thesis else self._enough,
         )
-        self._knowledge.has_looked(looked, zone=self._zone)
+        self._knowledge.has_looked(looked, body_pressure=self._body_pressure)
         looked = self._knowledge.looked
         touched = self._interpreter.felt_sides(looked)
         if thesis:
@@ -408,15 +409,17 @@ class Exploration:
         """Whether a side's sweep can stop, because the base is near its fold."""
         held = held_now(so_far.frames, so_far.peaks[-1].side)
         if held > TRIGGER_PER_CM:
-            self.live.sweeping(self._interpreter, so_far, self._zone, self.length_cm)
-        return pressed_enough(held, self.config, self._zone)
+            self.live.sweeping(self._interpreter, so_far, self._body_pressure, self.length_cm)
+        return pressed_enough(held, self.config, self._body_pressure)
 
     def _measured_enough(self, so_far: SweepResult) -> bool:
         """Whether a measurement at a raised body pressure can stop: the base is near its fold."""
-        zone = self._measured_zone
-        self.live.sweeping(self._interpreter, so_far, zone, self.length_cm)
+        body_pressure = self._measured_body_pressure
+        self.live.sweeping(self._interpreter, so_far, body_pressure, self.length_cm)
         held = held_now(so_far.frames, so_far.peaks[-1].side)
-        return zone != self._zone and pressed_enough(held, self.config, zone)
+        return body_pressure != self._body_pressure and pressed_enough(
+            held, self.config, body_pressure
+        )
 
     def _rest(self) -> str:
         """Let the young sensors stand still until what they rest at is known well enough."""
@@ -439,23 +442,25 @@ class Exploration:
 
     def _press(self) -> str:
         """Raise the body pressure if contacts can be pressed harder with it."""
-        self._measured_zone = self._zone
-        zone = pressing_zone(self._knowledge.looked.frames, self._unplaced, self.config, self._zone)
-        if zone == self._zone or not self.planner.raises(self._stage_cm):
+        self._measured_body_pressure = self._body_pressure
+        body_pressure = pressing_body_pressure(
+            self._knowledge.looked.frames, self._unplaced, self.config, self._body_pressure
+        )
+        if body_pressure == self._body_pressure or not self.planner.raises(self._stage_cm):
             return "pressure as it is"
         self.robot.vent()
         try:
-            self._set_body_pressure(zone)
+            self._set_body_pressure(body_pressure)
         except DataError:
             return "nobody to ask"
-        self._measured_zone = zone
+        self._measured_body_pressure = body_pressure
         return "pressure set"
 
     def _measure(self) -> str:
-        frames, zone = self._knowledge.looked.frames, self._measured_zone
+        frames, body_pressure = self._knowledge.looked.frames, self._measured_body_pressure
         tops: dict[str | float, float] = {
-            muscle.name: measuring_pressure(frames, muscle.side, self.config, zone)
-            if zone == self._zone
+            muscle.name: measuring_pressure(frames, muscle.side, self.config, body_pressure)
+            if body_pressure == self._body_pressure
             else muscle.max_pressure_psi
             for muscle in self.config.muscles
             if muscle.side in self._unplaced
@@ -463,12 +468,12 @@ class Exploration:
         self.robot.vent()
         measured = self.robot.sweep(
             tops,
-            period_s=sweep_period_s(self.config, zone, top_psi=max(tops.values())),
+            period_s=sweep_period_s(self.config, body_pressure, top_psi=max(tops.values())),
             rising_only=True,
             enough=self._measured_enough,
         )
         self._measurements += 1
-        self._knowledge.has_measured(measured, zone=zone)
+        self._knowledge.has_measured(measured, body_pressure=body_pressure)
         again = self._measurements < self._plan_ahead.measurements
         return "once more" if again else "measured"
 

@@ -34,7 +34,7 @@ class Live:
         self._robot.hub.publish(message(t_s, self._robot.epoch_s + t_s, *fields))
 
     def sweeping(
-        self, interpreter: Interpreter, so_far: SweepResult, zone: int, length_cm: float
+        self, interpreter: Interpreter, so_far: SweepResult, body_pressure: int, length_cm: float
     ) -> None:
         """Show what a sweep feels while it goes on, ten times a second.
 
@@ -42,7 +42,7 @@ class Live:
         """
         if self._robot.now() - self._felt_s < _SWEEPING_S:
             return
-        if (answer := interpreter.so_far(so_far, zone)) is not None:
+        if (answer := interpreter.so_far(so_far, body_pressure)) is not None:
             self.posterior(length_cm, answer, sweeping=True)
 
     def posterior(self, length_cm: float, answer: SideAnswer, *, sweeping: bool = False) -> None:

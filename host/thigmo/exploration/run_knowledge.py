@@ -74,14 +74,14 @@ class RunKnowledge:
         answers: of the stage's sweeps.
         obstruction: of growth, not yet on the map.
         tried: the stall that is tried again at a higher body pressure.
-        raised: zone of the body pressure that growth has needed since it stalled.
+        raised: number of the body pressure that growth has needed since it stalled.
         straight_cm: up to this length the body is known not to be held bent.
     """
 
     def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = (), method: str = FIELD) -> None:
         self._table = SensorTable.laid_out(wiring)
         self._board = self._table.board  # its zeros last from stage to stage
-        self._zone = self._measured_zone = 0
+        self._body_pressure = self._measured_body_pressure = 0
         self._stage_looked = False
         self.journal: Journal = lambda step, numbers: None
         self.interpreter = Interpreter(wiring, prior, method)
@@ -150,9 +150,9 @@ class RunKnowledge:
         self.obstruction = None
 
     @_step
-    def tries_more_pressure(self, *, zone: int) -> None:
-        """What stopped the tip is tried again, at the body pressure of a zone."""
-        self.tried, self.obstruction, self.raised = self.obstruction, None, zone
+    def tries_more_pressure(self, *, body_pressure: int) -> None:
+        """What stopped the tip is tried again, at a higher body pressure."""
+        self.tried, self.obstruction, self.raised = self.obstruction, None, body_pressure
 
     @_step
     def gives_up_trial(self) -> None:
@@ -181,25 +181,26 @@ class RunKnowledge:
     # A stage's sweeps.
 
     @_step
-    def has_looked(self, sweep: SweepResult, *, zone: int) -> None:
-        """A sweep for contacts has ended, in a zone of body pressure."""
-        self.looked, self.measured, self.answers, self._zone = sweep, None, [], zone
+    def has_looked(self, sweep: SweepResult, *, body_pressure: int) -> None:
+        """A sweep for contacts has ended, at a body pressure."""
+        self.looked, self.measured, self.answers = sweep, None, []
+        self._body_pressure = body_pressure
         self._stage_looked = True
-        self.interpreter.take(sweep, zone)
+        self.interpreter.take(sweep, body_pressure)
 
     @_step
-    def has_measured(self, sweep: SweepResult, *, zone: int) -> None:
-        """The sides with a contact were swept again, for the first time or once more, in a zone."""
-        self.interpreter.take(sweep, zone)
+    def has_measured(self, sweep: SweepResult, *, body_pressure: int) -> None:
+        """The sides with a contact were swept again, for the first time or once more."""
+        self.interpreter.take(sweep, body_pressure)
         if self.measured:
             sweep = replace(SweepResult.joined([self.measured, sweep]), truth=sweep.truth)
-        self.measured, self._measured_zone = sweep, zone
+        self.measured, self._measured_body_pressure = sweep, body_pressure
 
     @_step
     def localized(self) -> list[SideAnswer]:
         """Localize the stage's contacts."""
         self.answers = self.interpreter.localize(
-            self.looked, self.measured, self._zone, self._measured_zone
+            self.looked, self.measured, self._body_pressure, self._measured_body_pressure
         )
         return self.answers
 
@@ -217,7 +218,9 @@ class RunKnowledge:
         if self._stage_looked:
             t_s = round(t_s, 6)  # a record's times are whole nanoseconds
             self.stages.append(
-                self.interpreter.entry(t_s, length_cm, self.looked, self.answers, self._zone)
+                self.interpreter.entry(
+                    t_s, length_cm, self.looked, self.answers, self._body_pressure
+                )
             )
         self.looked, self.measured, self.answers = SweepResult(), None, []
         self._stage_looked = False

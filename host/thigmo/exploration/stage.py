@@ -64,10 +64,10 @@ class Interpreter:
         self._table = SensorTable.laid_out(wiring)
         self.map = ContactMap(wiring, prior)
 
-    def take(self, sweep: SweepResult, zone: int) -> None:
-        """Take a sweep, in a zone of body pressure."""
+    def take(self, sweep: SweepResult, body_pressure: int) -> None:
+        """Take a sweep, at a body pressure."""
         if not self._thesis:
-            self.map.add_sweep(sweep, zone, self._readable_sides(sweep))
+            self.map.add_sweep(sweep, body_pressure, self._readable_sides(sweep))
 
     def _readable_sides(self, sweep: SweepResult) -> list[Side]:
         """Sides with a peak that sensors read, before which nothing held the body bent."""
@@ -125,7 +125,11 @@ class Interpreter:
         return high - low <= ENOUGH * self._config.body.diameter_cm
 
     def localize(
-        self, sweep: SweepResult, measuring: SweepResult | None, zone: int, measured_zone: int
+        self,
+        sweep: SweepResult,
+        measuring: SweepResult | None,
+        body_pressure: int,
+        measured_body_pressure: int,
     ) -> list[SideAnswer]:
         """What a stage felt; of a side that was measured again, at that peak."""
         detected = self.felt_sides(sweep)
@@ -136,17 +140,18 @@ class Interpreter:
             if side not in detected or not self._use(peak).any():
                 continue
             if self._thesis:
-                answers.append(self._by_frame(peak, measured_zone if again else zone, THESIS))
+                bent_at = measured_body_pressure if again else body_pressure
+                answers.append(self._by_frame(peak, bent_at, THESIS))
             else:
                 answers.append(self._by_fit(peak, self._felt(side, sweep)))
         return answers
 
-    def so_far(self, so_far: SweepResult, zone: int) -> SideAnswer | None:
+    def so_far(self, so_far: SweepResult, body_pressure: int) -> SideAnswer | None:
         """What the last frames of a sweep felt, for viewers; None where no sensor can be read."""
         peak = so_far.peaks[-1]
         if not self._use(peak).any():
             return None
-        return self._by_frame(peak, zone, THESIS if self._thesis else METHODS[0])
+        return self._by_frame(peak, body_pressure, THESIS if self._thesis else METHODS[0])
 
     def _by_fit(self, peak: Peak, felt: Sequence[FittedContact]) -> SideAnswer:
         places, _ = felt[0].cells(peak.length_cm)
@@ -164,8 +169,8 @@ class Interpreter:
             max(contact.probability for contact in contacts),
         )
 
-    def _by_frame(self, peak: Peak, zone: int, method: str) -> SideAnswer:
-        result = localize_frame(peak, self._wiring, zone, method)
+    def _by_frame(self, peak: Peak, body_pressure: int, method: str) -> SideAnswer:
+        result = localize_frame(peak, self._wiring, body_pressure, method)
         return SideAnswer(
             peak.side,
             peak.length_cm,
@@ -203,17 +208,17 @@ class Interpreter:
         length_cm: float,
         sweep: SweepResult,
         answers: Sequence[SideAnswer],
-        zone: int,
+        body_pressure: int,
     ) -> Stage:
         """The stage's entry in contacts.json."""
         verdicts = {answer.side: (answer.status, answer.message) for answer in answers}
         verdicts |= {
             side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in verdicts
         }
-        shapes = _swept_shapes(length_cm, zone, sweep, self._wiring)
+        shapes = _swept_shapes(length_cm, body_pressure, sweep, self._wiring)
         return Stage(
             everted_length_cm=length_cm,
-            body_pressure_psi=self._config.body.zones[zone].pressure_psi,
+            body_pressure_psi=self._config.body.pressures[body_pressure].pressure_psi,
             t_s=t_s,
             shapes=[*shapes, *(answer.shape for answer in answers)],
             triggers=[
@@ -250,7 +255,9 @@ def _gain_errors(wiring: Wiring) -> Floats:
     return np.array([np.hypot(s.gain_error, s.drift_se) if s else 1.0 for s in sensors])
 
 
-def _swept_shapes(length_cm: float, zone: int, sweep: SweepResult, wiring: Wiring) -> list[Shape]:
+def _swept_shapes(
+    length_cm: float, body_pressure: int, sweep: SweepResult, wiring: Wiring
+) -> list[Shape]:
     """A dozen shapes of the body on each half sweep's way up, until its base is near its fold.
 
     They follow the readings, and not the map: a peg may hold the body back long before the trigger
@@ -268,7 +275,8 @@ def _swept_shapes(length_cm: float, zone: int, sweep: SweepResult, wiring: Wirin
         readings = readings[:, use]
         pressure = np.array([frame.pressure_psi for frame in frames])
         held = curvature_deficit(frames, side)
-        folds = np.array([pressed_enough(deficit, wiring.config, zone) for deficit in held])
+        config = wiring.config
+        folds = np.array([pressed_enough(deficit, config, body_pressure) for deficit in held])
         end = min([int(pressure.argmax()) + 1, *np.flatnonzero(folds)[:1]])
         way = SIGN[side]
         for part in np.array_split(np.arange(end), _SHAPES_A_SIDE):

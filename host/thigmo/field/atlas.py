@@ -91,7 +91,7 @@ class _Table(NamedTuple):
 class Atlas:
     """Headings beside a peg of average size at each touch of a grid, for bodies of one length.
 
-    Grown as stages come: a table for each everted length and zone, which serves both sides, for
+    Grown as stages come: a table for each everted length and body pressure, for both sides and for
     what a sensor reads is the difference of two headings.
     """
 
@@ -108,8 +108,8 @@ class Atlas:
         self._tables: dict[tuple[float, float, float], list[_Table | None]] = {}
 
     def _stage(self, readings: Readings, s: int) -> list[_Table | None]:
-        length, zone = readings.stages[s]
-        moment = float(readings.fold_moment[zone])
+        length, body_pressure = readings.stages[s]
+        moment = float(readings.fold_moment[body_pressure])
         body = readings.radius, length, moment
         if body not in self._tables:
             self._tables[body] = [self._table(*body, a, b) for a, b in self.touches]

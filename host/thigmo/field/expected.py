@@ -77,10 +77,10 @@ def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> Exp
     use = table.usable(side, ~0)
     stages, bends, rates, frames = [], [], [], []
     for length in lengths:
-        zone = config.body.zone_at(length)
-        rise_s = rising_period_s(config, zone) / 4
-        top = muscle.maps[zone].inflate.curvature(muscle.max_pressure_psi)
-        stages.append(Stage(length, zone))
+        body_pressure = config.body.pressure_number(length)
+        rise_s = rising_period_s(config, body_pressure) / 4
+        top = muscle.maps[body_pressure].inflate.curvature(muscle.max_pressure_psi)
+        stages.append(Stage(length, body_pressure))
         bends.append(abs(top) * np.arange(1, _BINS + 1) / _BINS)
         rates.append(abs(top) / rise_s)
         frames.append(rise_s / FRAME_SPACING_S / _BINS)
@@ -99,7 +99,7 @@ def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> Exp
         stages=tuple(stages),
         centers=centers,
         spans=spans,
-        fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
+        fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.pressures))]),
         radius=config.body.radius_cm,
     )
     errors = stated(wiring, side, use)

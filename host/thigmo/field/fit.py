@@ -231,10 +231,11 @@ class FieldFit:
         """What each error of one sigma adds to the bend (n, .) and to a reading (n, m, .)."""
         r, e = self.readings, self.errors
         g, (n, m) = r.bend[:, None], r.curvature.shape
-        used, zone = np.unique([r.stages[s].zone for s in r.stage], return_inverse=True)
-        zones = np.eye(used.size)[zone]
+        stage_pressures = [r.stages[s].body_pressure for s in r.stage]
+        used, number = np.unique(stage_pressures, return_inverse=True)
+        pressures = np.eye(used.size)[number]
         sweeps = np.eye(r.sweep.max() + 1)[r.sweep]
-        on_bend = [e.map * g, e.map_zone[used] * g * zones, e.map_offset * zones]
+        on_bend = [e.map * g, e.map_by_pressure[used] * g * pressures, e.map_offset * pressures]
         on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
         self._bend_bin = np.full((n, 1), e.bend_bin)
         if r.response is not None:
@@ -252,7 +253,7 @@ class FieldFit:
         if e.shared.size:
             self._shared = np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1)
         self._drifts = np.zeros(self.on_bend.shape[1], dtype=bool)
-        self._drifts[: 1 + zones.shape[1]] = True  # the map's scales
+        self._drifts[: 1 + pressures.shape[1]] = True  # the map's scales
         # Numbers of the errors, first those of all sensors: of the bend, of the gain against a
         # bend sign, and shared ones; then each sensor's gain, place, zeros and mechanics.
         self._against = self.on_bend.shape[1]
@@ -262,7 +263,7 @@ class FieldFit:
         self.count = self._modelled + (m if self.model else 0)
         # Errors that each sweep has by itself: of the bend, and beyond a sensor's constant zero.
         self.of_sweeps = np.zeros(self.count, dtype=bool)
-        first = 1 + 2 * zones.shape[1]
+        first = 1 + 2 * pressures.shape[1]
         self.of_sweeps[first : first + 2 * sweeps.shape[1]] = True
         self.of_sweeps[self._against + 1 : self._gain] = True
         self.of_sweeps[self._zero + m : self._modelled] = True
@@ -285,14 +286,14 @@ class FieldFit:
         by_q = np.zeros((*mean.shape, hypothesis.unknowns))
         chain = hypothesis.moves(q, self.body)
         touches: list[Touch | None] = []
-        for s, (length, zone) in enumerate(r.stages):
+        for s, (length, body_pressure) in enumerate(r.stages):
             rows, touch = self._rows[s], None
             bends = self.bends[:rows]
             first = min((untouched(p, length, r.radius, bends) for p in obstacles), default=rows)
             if first < rows:
                 if self._meanwhile is not None:
                     self._meanwhile()
-                critical = float(r.fold_moment[zone] * np.exp(q[FOLD]))
+                critical = float(r.fold_moment[body_pressure] * np.exp(q[FOLD]))
                 base = abs(float(q[BASE])) * self.longest
                 cell_cm = min(CELL * self.longest, MOST_CELL_CM)
                 rod = Rod(

@@ -21,7 +21,7 @@ class Stage(NamedTuple):
     """A body that mechanics can compute."""
 
     length: float  # everted, cm
-    zone: int  # of body pressure, which decides the moment that folds the base
+    body_pressure: int  # its number, which decides the moment that folds the base
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Readings:
     stages: tuple[Stage, ...]
     centers: Floats  # (m,) cm
     spans: Floats  # (m,) cm
-    fold_moment: Floats  # (zones,) contact moment over EI that folds the base, 1/cm
+    fold_moment: Floats  # (pressures,) contact moment over EI that folds the base, 1/cm
     radius: float  # of the tube, cm
     half_range: Floats | None = None  # (n,) half of the range of bends in a bin, 1/cm; None: none
     # (n,) by how much the bend of a pure delay is higher, 1/cm; of a first-order lag as much lower
@@ -76,14 +76,14 @@ class Errors:
     zero: Floats  # (m,) of a sensor's constant while it bends (half its loop), 1/cm
     zero_zeroing: Floats  # (m,) by which that differs from zeroing to zeroing
     zero_sweep: Floats  # (m,) and from sweep to sweep
-    map_zone: Floats  # (zones,) of the map's bend in each zone, relative
-    map_offset: float  # 1/cm, in each zone
+    map_by_pressure: Floats  # (pressures,) of the map's bend at each body pressure, relative
+    map_offset: float  # 1/cm, at each body pressure
     fold: float  # of the moment that folds the base, relative
     base: float = 0.0  # stated compliance of the base, rad for each 1/cm of moment: cm
     base_error: float = 0.0  # cm
     # (m, k) columns of one standard error that sensors share in a sweep, 1/cm
     shared: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    map: float = 0.08  # of the map's bend in all zones alike, relative: muscles age
+    map: float = 0.08  # of the map's bend at all body pressures alike, relative: muscles age
     # (m,) gain against a sensor's `bend_sign`, and its sigma; None: 1 and 0
     against: Floats | None = None
     against_error: Floats | None = None

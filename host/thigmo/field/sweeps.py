@@ -32,15 +32,15 @@ _ENOUGH = 8  # frames whose scatter says the noise
 # Shares of `zero_se` that stay for a run, change with each zeroing and with each sweep: a loop of
 # hysteresis keeps to one side while the pressure rises.
 _ZERO_PARTS = 1.1, 0.4, 0.28
-_ZONE_DRIFT, _LEAST_OFFSET = 0.01, 8e-4
+_PRESSURE_DRIFT, _LEAST_OFFSET = 0.01, 8e-4
 _FOLD = 0.1  # least relative error of the moment that folds: a body regulator is set by hand
 
 
 class Swept(NamedTuple):
-    """A sweep, and the zone of body pressure in which it was made."""
+    """A sweep, and the body pressure at which it was made."""
 
     sweep: SweepResult
-    zone: int
+    body_pressure: int
 
 
 class _Bin(NamedTuple):
@@ -55,11 +55,13 @@ class _Bin(NamedTuple):
     response: float  # by which the bend of a pure delay is higher
 
 
-def fold_moment(config: RobotConfig, zone: int) -> float:
-    """Contact moment over EI (1/cm) at which the base folds, at a zone's body pressure."""
+def fold_moment(config: RobotConfig, body_pressure: int) -> float:
+    """Contact moment over EI (1/cm) at which the base folds, at a body pressure."""
     body = config.body
     return critical_moment(
-        body.critical_curvature, body.critical_pressure_psi, body.zones[zone].pressure_psi
+        body.critical_curvature,
+        body.critical_pressure_psi,
+        body.pressures[body_pressure].pressure_psi,
     )
 
 
@@ -71,15 +73,15 @@ def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings,
     rows: list[_Bin] = []
     scatter = []
     number = 0
-    for sweep, zone in sweeps:
-        for rise in _rises(sweep, side, config.muscle(side), zone):
+    for sweep, body_pressure in sweeps:
+        for rise in _rises(sweep, side, config.muscle(side), body_pressure):
             use = table.usable(side, sweep.sensors) & np.isfinite(rise.curvature).all(axis=0)
             chosen = np.flatnonzero(rise.t_s >= rise.t_s[0] + swings_s)
             if chosen.size > _ENOUGH:  # white noise: what is left of second differences
                 rough = np.diff(rise.curvature[chosen], 2, axis=0).std(axis=0) / 6**0.5
                 scatter.append(np.where(use, rough, np.nan))
             rate = np.gradient(rise.bend, rise.t_s) if rise.t_s.size > 1 else np.zeros(1)
-            stage = Stage(round(rise.peak.length_cm, 2), zone)
+            stage = Stage(round(rise.peak.length_cm, 2), body_pressure)
             for part in _bins(chosen, rise.bend, most_bend):
                 if use.any():
                     y = np.where(use, rise.curvature[part].mean(axis=0), np.nan)
@@ -115,7 +117,7 @@ def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings,
         stages=stages,
         centers=table.center_cm[has_reading],
         spans=table.span_cm[has_reading],
-        fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.zones))]),
+        fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.pressures))]),
         radius=config.body.radius_cm,
         half_range=np.array([row.half_range for row in rows]),
         response=sign * np.array([row.response for row in rows]),
@@ -145,14 +147,14 @@ class _Rise(NamedTuple):
     peak: Peak
 
 
-def _rises(sweep: SweepResult, side: Side, muscle: Muscle, zone: int) -> list[_Rise]:
+def _rises(sweep: SweepResult, side: Side, muscle: Muscle, body_pressure: int) -> list[_Rise]:
     """The ways up of one side: several where sweeps were joined, as repeated measurements are."""
     frames, curvature = sweep.half(side)
     peaks = [peak for peak in sweep.peaks if peak.side == side]
     if not frames or not peaks:
         return []
     t_s, psi, lagged = np.array([(f.t_s, f.pressure_psi, f.free_curvature) for f in frames]).T
-    inflate = muscle.maps[zone].inflate
+    inflate = muscle.maps[body_pressure].inflate
     delayed_psi = np.interp(t_s - muscle.lag_s, t_s, psi)
     delayed = SIGN[side] * np.array([inflate.curvature(p) for p in delayed_psi])
     parts = np.split(np.arange(t_s.size), np.flatnonzero(np.diff(t_s) > _GAP_S) + 1)
@@ -191,7 +193,7 @@ def stated(wiring: Wiring, side: Side, use: npt.NDArray[np.bool_]) -> Errors:
         zero_zeroing=zeroing,
         zero_sweep=sweep,
         shared=shared[:, np.any(shared != 0.0, axis=0)],
-        map_zone=np.hypot([zone.scale_se for zone in muscle.maps], _ZONE_DRIFT),
+        map_by_pressure=np.hypot([entry.scale_se for entry in muscle.maps], _PRESSURE_DRIFT),
         map_offset=max(muscle.offset_se, _LEAST_OFFSET),
         map=muscle.drift_se,
         against=against[:, 0],

@@ -30,7 +30,7 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
     """
     config, flex = wiring.config, wiring.sensors
     board, spool, body = config.board, config.spool, config.body
-    pulls = [round(zone.pull_duty) for zone in body.zones]
+    pulls = [round(pressure.pull_duty) for pressure in body.pressures]
     highest_psi = max((muscle.max_pressure_psi for muscle in config.muscles), default=0.0)
     limit_psi = min(highest_psi + _PRESSURE_MARGIN_PSI, board.pressure_range_psi)
     # Resistance is proportional to the divider's resistor, so another divider is another scale.
@@ -63,7 +63,7 @@ def parameter_settings(wiring: Wiring) -> dict[str, list[int]]:
         "spool_accel_um_s2": [round(spool.acceleration_cm_s2 * 1e4)],
         "line_speed_um_s": [round(spool.line_speed_cm_s * 1e4)],
         "pull_duty": pulls,
-        "body_pull_n": [ceil(max(body.pull_n(zone.pressure_psi) for zone in body.zones))],
+        "body_pull_n": [ceil(max(body.pull_n(entry.pressure_psi) for entry in body.pressures))],
         "fold_swing_e5": [_limited("fold_swing_e5", body.fold_swing * 1e5)],
         "motor_stall_n": [round(spool.stall_n)],
         "line_rating_n": [round(spool.line_rating_n)],
@@ -103,14 +103,14 @@ def map_settings(wiring: Wiring) -> list[wire.SetMap]:
     top_psi = wiring.config.board.pressure_range_psi
     pressures_psi = [top_psi * point / points[-1] for point in points]
     settings = []
-    for zone in range(len(wiring.config.body.zones)):
+    for body_pressure in range(len(wiring.config.body.pressures)):
         for number, muscle in enumerate(wiring.config.muscles):
             shares = [base.share for base in wiring.trigger_sensors(muscle)]
             share = shares[0] if shares else sin(radians(muscle.direction_deg))
             for branch in wire.Branch:
-                curve = getattr(muscle.maps[zone], branch.key)
+                curve = getattr(muscle.maps[body_pressure], branch.key)
                 wired = tuple(round(share * curve.curvature(p) * 1e5) for p in pressures_psi)
-                settings.append(wire.SetMap(zone, number, branch, wired))
+                settings.append(wire.SetMap(body_pressure, number, branch, wired))
     return settings
 
 
@@ -146,7 +146,8 @@ def send_config(client: Client, wiring: Wiring) -> bool:
         if client.request(where).curvature_e5 != setting.curvature_e5:
             changed = True
             client.request(setting)
-            map_name = f"the map of zone {setting.zone}, muscle {muscles[setting.muscle].name}"
+            muscle_name = muscles[setting.muscle].name
+            map_name = f"the map of body pressure {setting.zone}, muscle {muscle_name}"
             _verify(map_name, client.request(where).curvature_e5, setting.curvature_e5)
     return changed
 

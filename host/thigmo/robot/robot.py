@@ -461,16 +461,16 @@ class Robot(Closing):
         self.confirm_length(length_cm, settled=not body.grows)
         return length_cm
 
-    def pressurize(self, zone: int) -> None:
-        """Have the operator set the body pressure of a zone, if it has air, and tell the board."""
-        pressure_psi = self.config.body.zones[zone].pressure_psi
+    def pressurize(self, body_pressure: int) -> None:
+        """Have the operator set a body pressure, if it has air, and tell the board."""
+        pressure_psi = self.config.body.pressures[body_pressure].pressure_psi
         if pressure_psi:
             self.operator.set_body_pressure(pressure_psi)
-        self.select_zone(zone)
+        self.select_body_pressure(body_pressure)
 
-    def select_zone(self, zone: int) -> None:
+    def select_body_pressure(self, body_pressure: int) -> None:
         """Tell the board which body pressure is set, by its index in robot.toml, from 0."""
-        self.supervisor.request(wire.SelectZone(zone))
+        self.supervisor.request(wire.SelectZone(body_pressure))
 
     def grow_to(self, length_cm: float, watcher: GrowthWatcher | None = None) -> float:
         """Pay out to an everted length and wait for it; returns the length reached, cm.
@@ -672,7 +672,7 @@ class Robot(Closing):
                 with the readings of this bend so far; the last half second stands in for the peak.
                 If it returns true, the muscle is vented at once.
 
-        Refused while a sensor is half everted, or the length or the zone is unknown.
+        Refused while a sensor is half everted, or the length or the body pressure is unknown.
 
         Raises:
             ConfigError: the contact trigger has no sensor that works while a muscle bends the body.

@@ -26,7 +26,7 @@ class RobotStatus:
 
     state: str  #: its name in the schema
     activity: str  #: its name in the schema
-    zone: int | None  #: index of the body-pressure zone, None if the board does not know it
+    body_pressure: int | None  #: its number, None if the board does not know it
     faults: tuple[str, ...]  #: names of latched faults
     conditions: frozenset[str]  #: names of the condition bits that are set
     t_s: float  #: device time

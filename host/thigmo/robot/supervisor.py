@@ -79,7 +79,7 @@ class Supervisor:
         status = RobotStatus(
             state=report.state.key,
             activity=report.activity.key,
-            zone=None if report.zone == _UNKNOWN_ZONE else report.zone,
+            body_pressure=None if report.zone == _UNKNOWN_ZONE else report.zone,
             faults=tuple(fault.key for fault in wire.Fault.from_mask(report.faults)),
             conditions=conditions,
             t_s=self.link.device_s(report.t_us),
@@ -329,7 +329,7 @@ def _too_strong(config: RobotConfig) -> str:
     """What to do if a body pressure pulls harder than the spool's friction holds; else empty."""
     if config.spool.brake:
         return ""
-    highest = max(zone.pressure_psi for zone in config.body.zones)
+    highest = max(pressure.pressure_psi for pressure in config.body.pressures)
     pull, holds = config.body.pull_n(highest), config.spool.holding_n
     if pull <= holds:
         return ""

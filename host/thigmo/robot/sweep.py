@@ -28,20 +28,20 @@ SHORTEST_PERIOD_S = 15.0
 RISING_RESIDUAL_LAG = 0.25
 
 
-def rising_period_s(config: RobotConfig, zone: int) -> float:
+def rising_period_s(config: RobotConfig, body_pressure: int) -> float:
     """Period (s) of a sweep that only looks for contacts, and only on the way up."""
-    return sweep_period_s(config, zone, residual_lag=RISING_RESIDUAL_LAG)
+    return sweep_period_s(config, body_pressure, residual_lag=RISING_RESIDUAL_LAG)
 
 
 def sweep_period_s(
     config: RobotConfig,
-    zone: int,
+    body_pressure: int,
     *,
     trigger_per_cm: float = TRIGGER_PER_CM,
     residual_lag: float = RESIDUAL_LAG,
     top_psi: float | None = None,
 ) -> float:
-    """Period (s) of a whole sweep, both directions, at a body-pressure zone.
+    """Period (s) of a whole sweep, both directions, at a body pressure.
 
     `residual_lag` is the share of the calibrated lag that is not compensated; a sweep goes to
     `top_psi`, or as high as the muscles hold.
@@ -49,7 +49,7 @@ def sweep_period_s(
     worst = share = 0.0
     for side in config.sides:
         muscle = config.muscle(side)
-        maps = muscle.maps[zone]
+        maps = muscle.maps[body_pressure]
         top = muscle.max_pressure_psi if top_psi is None else top_psi
         g_max = max(curve.curvature(top) for curve in (maps.inflate, maps.deflate))
         worst = max(worst, g_max * muscle.lag_s * residual_lag)

@@ -75,7 +75,7 @@ def _prepare(robot: Robot, config: RobotConfig, say: Say) -> None:
     if robot.status().state == "safe":
         robot.arm()
     grow_to(robot, config, config.body.length_cm, say)
-    robot.pressurize(len(config.body.zones) - 1)
+    robot.pressurize(len(config.body.pressures) - 1)
     say("waiting for the sensors to settle")
     robot.wait_settled()
 
@@ -143,16 +143,16 @@ def _trial(row: Row, wiring: Wiring, rows: Sequence[Row]) -> Trial:
     config, table, scale_se = wiring.config, SensorTable.laid_out(wiring), _scale_errors(wiring)
     side: Side = row["side"]
     muscle, sign = config.muscle(side), SIGN[side]
-    zone = muscle.maps[-1]
+    muscle_map = muscle.maps[-1]
     readings = np.array(row["curvature"])
     gain: Floats = np.ones(readings.size)
     free, is_actuated = 0.0, bool(row["passed_psi"])
     if is_actuated:
-        free = sign * zone.inflate.curvature(row[f"{side}_psi"])
+        free = sign * muscle_map.inflate.curvature(row[f"{side}_psi"])
         gain = _gains_at_touch(rows, wiring, side)
         usable = table.usable(side, row["zeroed"]) & np.isfinite(readings)
         # The zero's noise, and the errors of scale and map at this free curvature.
-        extra_variance = table.noise**2 + (np.hypot(scale_se, zone.scale_se) * free) ** 2
+        extra_variance = table.noise**2 + (np.hypot(scale_se, muscle_map.scale_se) * free) ** 2
     else:
         usable, extra_variance = (
             table.healthy & (table.bend_sign * readings >= 0),
@@ -181,9 +181,11 @@ def _gains_at_touch(rows: Sequence[Row], wiring: Wiring, side: Side) -> Floats:
     """
     table, muscle = SensorTable.laid_out(wiring), wiring.config.muscle(side)
     bent_rows = [row for row in rows if row["side"] == side and row["passed_psi"]]
-    zone, sign = muscle.maps[-1], SIGN[side]
-    spread = np.maximum(np.hypot(_scale_errors(wiring), zone.scale_se), _LEAST_GAIN_SE)
-    believed = np.mean([sign * zone.inflate.curvature(row["passed_psi"][0]) for row in bent_rows])
+    muscle_map, sign = muscle.maps[-1], SIGN[side]
+    spread = np.maximum(np.hypot(_scale_errors(wiring), muscle_map.scale_se), _LEAST_GAIN_SE)
+    believed = np.mean(
+        [sign * muscle_map.inflate.curvature(row["passed_psi"][0]) for row in bent_rows]
+    )
     departure = np.mean([row["passed_curvature"][0] for row in bent_rows], axis=0) - believed
     variance = table.noise**2 + muscle.offset_se**2
     precision = 1 / spread**2 + believed**2 / variance

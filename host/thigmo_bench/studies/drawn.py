@@ -78,7 +78,7 @@ KINDS: dict[str, Drawn] = {
 class DrawnRoom:
     """One robot's sweeps in one room, and what stood there."""
 
-    sweeps: list[tuple[SweepResult, int]]  # with their zones of body pressure, in their order
+    sweeps: list[tuple[SweepResult, int]]  # with the numbers of their body pressures, in order
     peg: tuple[float, float, float] | None  # x, y and radius
     contact: tuple[float, float, float] | None  # arc, x and y at the last peak; None: untouched
     touched: bool  # at any bend of any stop
@@ -90,7 +90,7 @@ class _Stop:
     """One everted length: the sweeps of all robots there."""
 
     length: float
-    zone: int
+    body_pressure: int
     free: Floats  # (T,) by the map of robot.toml, at the pressure that lags
     psi: Floats  # (T,)
     true: Floats  # (T, S) free curvature of the bodies
@@ -106,7 +106,7 @@ def rooms(
     rng = np.random.default_rng([seed, 0x0DE])
     body = _bodies(kind, config, count, rng)
     muscle, tube = config.muscle("left"), config.body.radius_cm
-    highest = muscle.maps[config.body.zone_at(lengths[-1])].inflate.curvature(
+    highest = muscle.maps[config.body.pressure_number(lengths[-1])].inflate.curvature(
         muscle.max_pressure_psi
     )
     x, y, radius = _pegs(rng, count, lengths[-1], tube, highest)
@@ -116,7 +116,7 @@ def rooms(
     pegs = replace(Obstacles.pegs(x, y, radius), compliance=yields)
     sensors = [_Sensors.draw(kind, config, rng) for _ in range(count)]
     places = np.unique(np.concatenate([drawn.places for drawn in sensors]))
-    off = 1.0 + kind.bend * rng.choice([-1.0, 1.0], count)  # of all zones' maps alike
+    off = 1.0 + kind.bend * rng.choice([-1.0, 1.0], count)  # of all body pressures' maps alike
     lag_s = LAG_S * rng.standard_normal(count)
     stops = [
         _stop(length, off, lag_s, config, body, pegs, (places, sensors[0].span), rng)
@@ -135,8 +135,9 @@ def _stop(
     pegs: Obstacles, read_at: tuple[Floats, float], rng: np.random.Generator,
 ) -> _Stop:  # fmt: skip
     """Sweep all robots at an everted length; `read_at`: places and span of all sensors."""
-    muscle, zone, count = config.muscle("left"), config.body.zone_at(length), off.size
-    curve = np.vectorize(muscle.maps[zone].inflate.curvature)
+    muscle, count = config.muscle("left"), off.size
+    body_pressure = config.body.pressure_number(length)
+    curve = np.vectorize(muscle.maps[body_pressure].inflate.curvature)
     fine_s = np.arange(0.0, RISE_S + _FINE_S / 2, _FINE_S)
     psi = muscle.max_pressure_psi * np.sin(0.5 * math.pi * fine_s / RISE_S) ** 2
     frames = np.arange(0, fine_s.size, round(FRAME_S / _FINE_S))
@@ -148,7 +149,7 @@ def _stop(
         ]
     ).T[frames]
 
-    scale = off * (1.0 + muscle.maps[zone].scale_se * rng.standard_normal(count))
+    scale = off * (1.0 + muscle.maps[body_pressure].scale_se * rng.standard_normal(count))
     scale *= 1.0 + rng.uniform(*SWEEP_SCALE, count) * rng.standard_normal(count)
     offset = muscle.offset_se * rng.standard_normal(count)
     offset += rng.uniform(*SWEEP_OFFSET, count) * rng.standard_normal(count)
@@ -156,13 +157,13 @@ def _stop(
     way = np.linspace(0.0, 1.0, _ROWS)[:, None]
     ladder = true.min(axis=0) + way * np.ptp(true, axis=0)
     fold = critical_moment(
-        1.0, config.body.critical_pressure_psi, config.body.zones[zone].pressure_psi
+        1.0, config.body.critical_pressure_psi, config.body.pressures[body_pressure].pressure_psi
     )  # over the one that robot.toml states
     assert fold is not None
     stop_body = replace(body, length=length, critical=fold * body.critical)
     places, span = read_at
     return _Stop(
-        length, zone, curve(lagged), psi[frames], true, ladder, places,
+        length, body_pressure, curve(lagged), psi[frames], true, ladder, places,
         Sweeper(stop_body, pegs).sweep(ladder, places, span),
     )  # fmt: skip
 
@@ -194,7 +195,9 @@ def _room(
         clean = [
             np.interp(stop.true[:frames, room], ladder[alive], column) for column in curvature.T
         ]
-        sweeps.append((_result(sensors, stop, sensors.read(np.array(clean).T, rng)), stop.zone))
+        sweeps.append(
+            (_result(sensors, stop, sensors.read(np.array(clean).T, rng)), stop.body_pressure)
+        )
     arc, x, y = stops[-1].swept.contacts[-1, room, 0].tolist()
     felt = any(np.isfinite(stop.swept.contacts[:, room, 0, 0]).any() for stop in stops)
     return DrawnRoom(

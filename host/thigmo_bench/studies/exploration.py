@@ -319,9 +319,9 @@ def visit(room: Room) -> Run:
     known = scene.believed(seed)
     rng = np.random.default_rng([seed, 0x9E6])
     for side in scene.robot.sides:
-        for zone in scene.robot.muscle(side).maps:
-            zone.inflate.amplitude *= kind.bend
-            zone.deflate.amplitude *= kind.bend
+        for muscle_map in scene.robot.muscle(side).maps:
+            muscle_map.inflate.amplitude *= kind.bend
+            muscle_map.deflate.amplitude *= kind.bend
         for sensor in scene.robot.column(side):
             sensor.rescale(1.0 / (1.0 + kind.gains * rng.standard_normal()))
     scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []

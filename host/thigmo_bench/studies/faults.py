@@ -291,7 +291,7 @@ def visit(case: Case, board_for: BoardFor | None = None, exchange_ms: int = 10) 
     if case.fit != "bare":
         robot.wait(FILL_S)
     robot.confirm_length(scene.start_length_cm, settled=True)
-    robot.select_zone(0)
+    robot.select_body_pressure(0)
     robot.zero()
     commands, lead_s = STATES[case.state]
     for command in commands:

@@ -54,7 +54,7 @@ class Judged:
 def judged(kind: str, seed: int, number: int, room: DrawnRoom, answer: Answer) -> Judged:
     """Ask for an answer, and hold it against the room's truth."""
     begun = process_time()
-    listed = answer([Swept(sweep, zone) for sweep, zone in room.sweeps])
+    listed = answer([Swept(sweep, body_pressure) for sweep, body_pressure in room.sweeps])
     time_s = process_time() - begun
     if not listed or room.contact is None or room.ended:
         return Judged(kind, seed, number, room.touched, bool(listed), time_s=time_s)
@@ -77,7 +77,7 @@ def _robot() -> tuple[RobotConfig, Answer]:
     config = Scene.load("default").believed(3)
     wiring = Wiring.laid_out(config)
     muscle = config.muscle("left")
-    most = max(zone.inflate.curvature(muscle.max_pressure_psi) for zone in muscle.maps)
+    most = max(muscle_map.inflate.curvature(muscle.max_pressure_psi) for muscle_map in muscle.maps)
     atlas = Atlas(config.body.length_cm, _BEND_MARGIN * most)
 
     def answer(sweeps: Sequence[Swept]) -> list[FieldContact]:

@@ -173,7 +173,7 @@ def push(load: tuple[str, int]) -> Pushed:
     driven = Robot(Client(transport))
     driven.configure(transport.config)
     driven.confirm_length(length_cm, settled=True)
-    driven.pressurize(len(robot.body.zones) - 1)
+    driven.pressurize(len(robot.body.pressures) - 1)
     driven.arm()
     driven.wait(2.0)
     driven.zero()

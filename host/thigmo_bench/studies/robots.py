@@ -16,7 +16,7 @@ from math import nan
 import numpy as np
 
 from thigmo.config import SIDES, RobotConfig
-from thigmo.design.draft import Kind, draft
+from thigmo.design import draft
 from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ThigmoError
@@ -38,7 +38,7 @@ class _Draft:
     length_cm: float
     sensors: int
     muscles: int
-    kind: Kind = "flex"
+    kind: str = "flex"
     diameter_cm: float = 3.5
 
 

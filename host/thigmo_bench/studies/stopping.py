@@ -63,7 +63,7 @@ class ServedRobot(serve.ServedRobot):
         with Robot(Client(transport)) as robot:  # in virtual time
             robot.configure(scene.believed(seed))
             robot.confirm_length(_LENGTH_CM, settled=True)
-            robot.select_zone(0)
+            robot.select_body_pressure(0)
             robot.arm()
             robot.zero()
         super().__init__(serve.PtyServer(transport.lockstep, reset_on_open=False))

@@ -168,8 +168,8 @@ def converse(
 
 def _script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> Script:
     """Make ready, zero the sensors, and sweep as the default protocol does: up, and vent."""
-    zone = robot.body.zone_at(length_cm)
-    period_ms = round(rising_period_s(robot, zone) * 1e3)
+    body_pressure = robot.body.pressure_number(length_cm)
+    period_ms = round(rising_period_s(robot, body_pressure) * 1e3)
     # With the keep-out around the tip's fold.
     reach = length_cm - wire.PARAMETERS["fold_margin_um"].defaults[0] * 1e-4
     everted = sum(
@@ -184,7 +184,7 @@ def _script_of(robot: RobotConfig, length_cm: float, halves: Sequence[Half]) -> 
         (100, wire.SetParameter(wire.PARAMETERS["drift_limit_e5"].index, 10_000)),
         (300, wire.ApplyParameters()),
         (400, wire.ConfirmLength(round(length_cm * 1e4), 1)),
-        (400, wire.SelectZone(zone)),
+        (400, wire.SelectZone(body_pressure)),
         (450, wire.Arm()),
         (1000, wire.ZeroSensors(everted)),
     ]

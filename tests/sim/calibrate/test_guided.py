@@ -186,7 +186,7 @@ def test_actuator_map_is_within_half_a_percent_of_full_scale_and_the_lag_within_
     lab = Lab(tmp_path, seed)
     lab.session = Session(tmp_path / "blank", blank(lab.scene.robot))
     bench = lab.bench()
-    bench.plan = replace(bench.plan, zones=(2,), step_psi=4.5)
+    bench.plan = replace(bench.plan, body_pressures=(2,), step_psi=4.5)
     for step in ("pressure", "actuator"):
         result = steps.run(bench, step)
         assert result.verdict.good, result.verdict

@@ -12,24 +12,24 @@ from command import Thigmo
 
 from thigmo.calibrate.session import blank
 from thigmo.config import RobotConfig
-from thigmo.design.draft import Kind, draft
+from thigmo.design import draft
 from thigmo.emulator.reach import random_peg, room_for
 from thigmo.emulator.scene import PegTable, Scene
 
 pytestmark = pytest.mark.ci
 
 
-def unknown(seed: int, length_cm: float, sensors: int, muscles: int, kind: Kind) -> Scene:
+def unknown(seed: int, length_cm: float, sensors: int, muscles: int, kind: str) -> Scene:
     """A robot out to its tip in an empty room, whose sensors and maps nobody has measured."""
     scene = room_for(draft(length_cm, sensors, muscles, kind=kind), 0, peg=False)
     rng = np.random.default_rng(seed)
     for sensor in scene.robot.sensors:
         sensor.rescale(float(rng.uniform(0.75, 1.25)))
     for muscle in scene.robot.muscles:
-        for zone in muscle.maps:
+        for muscle_map in muscle.maps:
             stretch = float(rng.uniform(0.93, 1.07))
-            zone.inflate.amplitude *= stretch
-            zone.deflate.amplitude *= stretch
+            muscle_map.inflate.amplitude *= stretch
+            muscle_map.deflate.amplitude *= stretch
     scene.start_length_cm = length_cm
     return scene
 
@@ -47,7 +47,7 @@ def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotCo
         ran = thigmo(
             "calibrate", step, "--robot", f"emulator://{tmp_path / 'bare.toml'}", "--config",
             tmp_path / "begun.toml", "--folder", folder, "--trials", 1, "--step-psi", 4.5,
-            "--places", 6, "--zone", len(truth.body.zones) - 1,
+            "--places", 6, "--body-pressure", len(truth.body.pressures) - 1,
         )  # fmt: skip
         assert ran.code == 0, ran.out + ran.err
     config = RobotConfig.load(folder / "robot.toml")
@@ -66,7 +66,7 @@ def _calibrated(thigmo: Thigmo, tmp_path: Path, steps: Sequence[str]) -> RobotCo
     ],
 )
 def test_a_drafted_robot_is_calibrated_and_explores_with_what_was_found(
-    thigmo: Thigmo, tmp_path: Path, length_cm: float, sensors: int, muscles: int, kind: Kind
+    thigmo: Thigmo, tmp_path: Path, length_cm: float, sensors: int, muscles: int, kind: str
 ) -> None:
     scene = unknown(3, length_cm, sensors, muscles, kind)
     truth = scene.robot

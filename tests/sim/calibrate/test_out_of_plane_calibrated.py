@@ -24,7 +24,7 @@ def calibrate(thigmo: Thigmo, folder: Path, robot: RobotConfig, step: str = "act
     return thigmo(
         "calibrate", step, "--robot", f"emulator://{folder / 'scene.toml'}", "--config",
         folder / "robot.toml", "--folder", folder / "made", "--trials", 1, "--step-psi", 4.5,
-        "--zone", 2,
+        "--body-pressure", 2,
     )  # fmt: skip
 
 

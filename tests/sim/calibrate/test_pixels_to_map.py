@@ -27,10 +27,10 @@ def unknown_robot(seed: int) -> Scene:
         for sensor in scene.robot.column(side):
             sensor.scale_per_ohm = float(rng.uniform(2.6e-5, 4.4e-5))
             sensor.zero_ohm = float(rng.uniform(9e3, 14e3))
-        for zone in scene.robot.muscle(side).maps:
+        for muscle_map in scene.robot.muscle(side).maps:
             stretch = float(rng.uniform(0.9, 1.1))
-            zone.inflate.amplitude *= stretch
-            zone.deflate.amplitude *= stretch
+            muscle_map.inflate.amplitude *= stretch
+            muscle_map.deflate.amplitude *= stretch
     scene.robot.spool.counts_per_cm = 71.0
     scene.robot.body.critical_curvature = 0.0118
     return scene
@@ -90,8 +90,10 @@ def test_from_pixels_to_the_map(tmp_path):
     assert config.body.critical_curvature == pytest.approx(0.0118, rel=0.03)
     assert config.spool.counts_per_cm == pytest.approx(71.0, rel=0.01)
     # By half of body pressure times section, against 147 N at full duty.
-    pulls = [zone.pull_duty for zone in config.body.zones]
-    assert pulls == pytest.approx([17.7 * zone.pressure_psi for zone in config.body.zones], abs=4.0)
+    pulls = [pressure.pull_duty for pressure in config.body.pressures]
+    assert pulls == pytest.approx(
+        [17.7 * pressure.pressure_psi for pressure in config.body.pressures], abs=4.0
+    )
 
     (peg,) = scene.pegs
     with thigmo.connect(room, seed=4) as robot:

@@ -59,7 +59,7 @@ class String:
         self.robot.configure(opened.config)
         self.robot.wait(0.5)
         self.robot.confirm_length(LENGTH_CM, settled=True)
-        self.robot.select_zone(2)
+        self.robot.select_body_pressure(2)
 
     @property
     def inputs(self) -> list[int]:

@@ -76,7 +76,7 @@ def ready(transport: EmulatorTransport) -> Client:
     client.request(wire.ClearFaults(0xFFFF))
     robot = Robot(client)
     robot.confirm_length(START_CM, settled=True)
-    robot.select_zone(0)
+    robot.select_body_pressure(0)
     robot.arm()
     return client
 

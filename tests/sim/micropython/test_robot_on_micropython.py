@@ -85,7 +85,7 @@ def test_an_encoder_whose_signals_jump_is_a_stall(bench: Make) -> None:
     robot = bench()
     robot.robot.wait(0.3)
     robot.robot.confirm_length(51.5, settled=True)
-    robot.robot.select_zone(2)
+    robot.robot.select_body_pressure(2)
     robot.robot.arm()
     robot.client.request(wire.GrowTo(530_000, 0))
     robot.transport.pass_time(0.3)

@@ -62,10 +62,10 @@ def test_the_scale_of_a_map_is_uncertain_by_what_trials_differ():
     """The next trial's gain, against the error stated; three trials tell it poorly."""
     scores, stated = [], []
     for seed in range(40):
-        zone = fit_actuator(bends(seed, gain=0.015)).muscle_map
+        muscle_map = fit_actuator(bends(seed, gain=0.015)).muscle_map
         next_one = 1 + np.random.default_rng([seed, 1]).normal(0, 0.015)
-        fitted = zone.inflate.curvature(18.0) / INFLATE.curvature(18.0)
-        scores.append((fitted - next_one) / zone.scale_se)
+        fitted = muscle_map.inflate.curvature(18.0) / INFLATE.curvature(18.0)
+        scores.append((fitted - next_one) / muscle_map.scale_se)
         stated.append(fit_actuator(bends(seed)).muscle_map.scale_se)
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.25
     assert np.mean(stated) < 0.018  # trials that agree
@@ -165,7 +165,7 @@ def test_a_ramp_without_a_bend_has_no_lag():
         fit_lag(t, np.full(len(t), 3.0), np.zeros(len(t)), muscle_map)
 
 
-def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
+def test_a_result_is_the_map_of_its_body_pressure(tmp_path):
     result = fit_actuator(bends(6, "right"))
     made = result.apply(RobotConfig())
     assert made.muscle("right").maps[2] == result.muscle_map
@@ -173,16 +173,16 @@ def test_result_goes_into_the_zone_of_its_body_pressure(tmp_path):
     draw(result, tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 10_000
     elsewhere = replace(bends(6), body_pressure_psi=3.0)
-    with pytest.raises(DataError, match="no zone"):
+    with pytest.raises(DataError, match="no body pressure"):
         fit_actuator(elsewhere).apply(RobotConfig())
 
 
 def test_a_map_of_a_body_without_pressure_is_put_in():
     robot = gallery_robot("catheter")
-    assert [zone.pressure_psi for zone in robot.body.zones] == [0.0]
+    assert [pressure.pressure_psi for pressure in robot.body.pressures] == [0.0]
     unpressed = fit_actuator(replace(bends(6), body_pressure_psi=0.0))
     assert unpressed.apply(robot).muscle("left").maps == [unpressed.muscle_map]
-    with pytest.raises(DataError, match="no zone has a body pressure of"):
+    with pytest.raises(DataError, match="no body pressure is"):
         fit_actuator(bends(6)).apply(robot)
 
 
@@ -259,7 +259,9 @@ def test_a_muscle_out_of_the_plane_is_mapped_by_the_sensors_that_read_its_bend(l
     assert made.muscles[2].maps[2] == result.muscle_map
     assert made.muscles[2].maps[2].calibrated
     assert made.muscles[:2] == config.muscles[:2]
-    assert not any(zone.calibrated for muscle in made.muscles[:2] for zone in muscle.maps)
+    assert not any(
+        muscle_map.calibrated for muscle in made.muscles[:2] for muscle_map in muscle.maps
+    )
 
 
 def test_sensors_that_see_nothing_of_a_bend_do_not_make_a_map_of_it():

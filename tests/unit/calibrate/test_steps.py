@@ -232,8 +232,9 @@ def test_the_motors_constant_is_the_least_that_was_seen_at_each_body_pressure():
     config = RobotConfig()
     length = np.arange(5.0, 53, 5.0)
 
-    def row(zone: int, duty: float) -> dict[str, float]:
-        return {"zone": zone, "duty": duty, "dead_zone": 60, "counts_s": 4.0 * 76.0}
+    def row(body_pressure: int, duty: float) -> dict[str, float]:
+        speed = {"dead_zone": 60, "counts_s": 4.0 * 76.0}
+        return {"body_pressure": body_pressure, "duty": duty, **speed}
 
     # 4 cm/s of line at 23.6 cm/s for 740 of duty: 125.4 beyond the dead zone.
     drive = [row(0, 160.0), row(0, 155.0), row(1, 170.0)]
@@ -241,7 +242,7 @@ def test_the_motors_constant_is_the_least_that_was_seen_at_each_body_pressure():
     assert result.pull_duty == [pytest.approx(25.4, abs=0.1), pytest.approx(15.4, abs=0.1), None]
     assert "not seen at every body pressure" in result.verdict.notes[-1]
     result.write(config)
-    assert [zone.pull_duty for zone in config.body.zones] == [25.4, 15.4, 0.0]
+    assert [pressure.pull_duty for pressure in config.body.pressures] == [25.4, 15.4, 0.0]
 
 
 def test_encoder_slip_reversal_and_lost_marker_are_detected():
@@ -311,7 +312,9 @@ def whole(config: RobotConfig) -> CheckReadings:
         bent[side], curvature[side] = zero + row / scale, k
         t = np.arange(0, 4, 0.1)
         held[side] = np.column_stack([t, 12 + rng.normal(0, 0.02, len(t))])
-    return CheckReadings(zero + rng.normal(0, 10, (8, 10)), bent, 12.0, curvature, held, zone=2)
+    return CheckReadings(
+        zero + rng.normal(0, 10, (8, 10)), bent, 12.0, curvature, held, body_pressure=2
+    )
 
 
 def test_check_passes_a_sound_robot():

@@ -83,9 +83,9 @@ def test_random_pegs_are_felt_where_they_say_and_repeat_with_the_seed() -> None:
     assert felt.peak >= 0.005
     assert felt.contacts
     # An independent walk: the rod itself, at that stage and pressure.
-    zone = robot.body.zone_at(felt.length_cm)
-    scale = robot.body.zones[zone].pressure_psi / robot.body.critical_pressure_psi
-    curve = robot.muscle(felt.side).maps[zone].inflate
+    body_pressure = robot.body.pressure_number(felt.length_cm)
+    scale = robot.body.pressures[body_pressure].pressure_psi / robot.body.critical_pressure_psi
+    curve = robot.muscle(felt.side).maps[body_pressure].inflate
     sign = SIGN[felt.side]
 
     def excess(pressure: float) -> float:
@@ -161,10 +161,10 @@ def test_belief_differs_from_truth_by_what_the_scene_says() -> None:
                 assert said.scale_se == 0.05
                 assert said.center_se_cm == 0.1
                 assert said.zero_se >= scene.noise.hysteresis
-            for zone, right in zip(
+            for muscle_map, right in zip(
                 config.muscle(side).maps, scene.robot.muscle(side).maps, strict=True
             ):
-                maps.append(zone.inflate.amplitude / right.inflate.amplitude - 1)
+                maps.append(muscle_map.inflate.amplitude / right.inflate.amplitude - 1)
     assert np.std(gains) == pytest.approx(0.05, rel=0.1)
     assert np.std(places) == pytest.approx(0.1, rel=0.1)
     assert np.std(maps) == pytest.approx(0.01, rel=0.15)
@@ -183,5 +183,5 @@ def test_without_errors_the_host_believes_the_truth() -> None:
     # And it knows that it does.
     assert {s.scale_se for s in known.column("left")} == {0.0}
     assert {s.center_se_cm for s in known.column("left")} == {0.0}
-    assert {zone.scale_se for zone in known.muscle("left").maps} == {0.0}
+    assert {muscle_map.scale_se for muscle_map in known.muscle("left").maps} == {0.0}
     assert known.body.critical_curvature_se == 0.0

@@ -43,7 +43,9 @@ FREE = np.linspace(2e-3, 0.022, 12)
 def _errors(sensors: int = 5, **given: float) -> Errors:
     stated = {"gain": 0.03, "place": 0.1, "zero": 2e-4, "zero_zeroing": 1e-4, "zero_sweep": 5e-5}
     columns = {name: np.full(sensors, sd) for name, sd in stated.items()}
-    return replace(Errors(**columns, map_zone=np.array([0.01]), map_offset=8e-4, fold=0.1), **given)
+    return replace(
+        Errors(**columns, map_by_pressure=np.array([0.01]), map_offset=8e-4, fold=0.1), **given
+    )
 
 
 def _readings(rows: dict[float, np.ndarray], scale: float = 1.0) -> Readings:
@@ -194,8 +196,8 @@ def test_the_evidence_is_the_integral_over_the_errors() -> None:
     none = np.zeros(5)
     errors = Errors(
         gain=none, place=none, zero=none, zero_zeroing=none, zero_sweep=none,
-        map_zone=np.zeros(1), map_offset=0.0, fold=0.1, map=0.05, sweep=0.0, sweep_offset=0.0,
-        lag_s=0.0, bend_bin=0.0,
+        map_by_pressure=np.zeros(1), map_offset=0.0, fold=0.1, map=0.05, sweep=0.0,
+        sweep_offset=0.0, lag_s=0.0, bend_bin=0.0,
     )  # fmt: skip
     fit = FieldFit(readings, errors)
     evidence, best, _ = fit.evidence(fit.tables(NOTHING, np.zeros(0)), fit.free())

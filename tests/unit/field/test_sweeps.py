@@ -13,7 +13,7 @@ from thigmo.wiring import Wiring
 
 CONFIG = RobotConfig()
 FINE_S, FRAME_S, STARTS_S = 1e-3, 0.05, 0.5
-ZONE, LENGTH_CM = 2, 53.0
+BODY_PRESSURE, LENGTH_CM = 2, 53.0
 
 
 def _behind(psi: np.ndarray, lags: int) -> np.ndarray:
@@ -28,7 +28,7 @@ def _sweep(side: Side, lags: int) -> SweepResult:
     """A ramp that begins at once, by the board's map at a lag, of a body behind several."""
     t_s = np.arange(0.0, 3.0, FINE_S)
     psi = 6.0 * np.maximum(t_s - STARTS_S, 0.0)
-    inflate = CONFIG.muscle(side).maps[ZONE].inflate
+    inflate = CONFIG.muscle(side).maps[BODY_PRESSURE].inflate
     frames = slice(0, None, round(FRAME_S / FINE_S))
     rows = zip(t_s[frames], psi[frames], _behind(psi, 1)[frames], strict=True)
     telemetry = [
@@ -45,7 +45,7 @@ def _sweep(side: Side, lags: int) -> SweepResult:
 def test_a_bend_behind_any_chain_of_lags_lies_between_a_lag_and_a_delay(
     side: Side, lags: int
 ) -> None:
-    prepared = read([Swept(_sweep(side, lags), ZONE)], side, Wiring.laid_out(CONFIG))
+    prepared = read([Swept(_sweep(side, lags), BODY_PRESSURE)], side, Wiring.laid_out(CONFIG))
     assert prepared is not None
     readings, _ = prepared
     assert readings.response is not None
@@ -59,7 +59,7 @@ def test_a_bend_behind_any_chain_of_lags_lies_between_a_lag_and_a_delay(
 
 
 def test_a_bin_knows_how_far_its_frames_bend_apart() -> None:
-    prepared = read([Swept(_sweep("left", 1), ZONE)], "left", Wiring.laid_out(CONFIG))
+    prepared = read([Swept(_sweep("left", 1), BODY_PRESSURE)], "left", Wiring.laid_out(CONFIG))
     assert prepared is not None
     readings, _ = prepared
     assert readings.half_range is not None
