@@ -55,7 +55,7 @@ class Frame:
 
     group: str
     position: Floats  # (N,)
-    direction: Floats  # (N,) around the body, rad
+    angle: Floats  # (N,) around the body, rad
     curvature: Floats  # (N,)
     free: float
     contacts: int | None  # None: not stated
@@ -83,9 +83,9 @@ def planar(
         )
         believed = float(free) / (1.0 + errors[2] * rng.standard_normal())
         number = len(arcs) if stated else None
-        direction = np.zeros(clean.size)
+        angle = np.zeros(clean.size)
         yield (
-            Frame(group, scenes.position, direction, readings, believed, number, errors),
+            Frame(group, scenes.position, angle, readings, believed, number, errors),
             sorted(arcs.tolist()),
         )
 
@@ -134,23 +134,23 @@ def walls(rng: np.random.Generator, count: int) -> contact_scenes.Scenes:
 
 
 def in_space(rng: np.random.Generator, count: int) -> Iterator[Drawn]:
-    """A straight body in space, pressed twice, from any direction: fifteen readings around it."""
+    """A straight body in space, pressed twice, from any side: fifteen readings around it."""
     arcs = np.sort(
         STEP_CM * np.round(rng.uniform([15.0, 38.0], [28.0, LENGTH], (count, 2)) / STEP_CM)
     )
     moment = rng.uniform(0.4, 1.0, (count, 2)) * CRITICAL
     toward = rng.uniform(0.0, 2.0 * np.pi, (count, 2))
     nodes, bend = bent_in_space(arcs, moment / arcs, toward)
-    position, direction = np.repeat(COLUMN, 3), np.tile(THIRDS, len(COLUMN))
+    position, angle = np.repeat(COLUMN, 3), np.tile(THIRDS, len(COLUMN))
     total = np.concatenate([np.zeros((count, 1, 2)), np.cumsum(bend[:, 1:] + bend[:, :-1], 1)], 1)
     total *= 0.5 * STEP_CM
     ends = [np.rint((position + half) / STEP_CM).astype(int) for half in (SPAN / 2, -SPAN / 2)]
     mean = (total[:, ends[0]] - total[:, ends[1]]) / SPAN
-    clean = mean[..., 0] * np.cos(direction) + mean[..., 1] * np.sin(direction)
+    clean = mean[..., 0] * np.cos(angle) + mean[..., 1] * np.sin(angle)
     assert nodes[-1] >= LENGTH - 1e-9
     for frame, true in zip(clean, arcs, strict=True):
         read = frame + SIGMA * rng.standard_normal(frame.size)
-        yield Frame("space", position, direction, read, 0.0, 2), true.tolist()
+        yield Frame("space", position, angle, read, 0.0, 2), true.tolist()
 
 
 def bent_in_space(arcs: Floats, force: Floats, toward: Floats) -> tuple[Floats, Floats]:
@@ -234,7 +234,7 @@ def make(seed: int, folder: Path, truth_folder: Path, prefix: str = "") -> None:
                 name, frame.group, count, f"{LENGTH:g}", f"{RADIUS:g}", f"{frame.free:.7g}",
                 f"{SIGMA:g}", *(f"{output_folder:g}" for output_folder in frame.errors),
             ])  # fmt: skip
-            for values in zip(frame.position, frame.direction, frame.curvature, strict=True):
+            for values in zip(frame.position, frame.angle, frame.curvature, strict=True):
                 place, angle, read = values
                 readings.writerow([name, f"{place:g}", f"{SPAN:g}", f"{angle:.5g}", f"{read:.6g}"])
             for arc in arcs or [None]:
@@ -244,7 +244,7 @@ def make(seed: int, folder: Path, truth_folder: Path, prefix: str = "") -> None:
 
 
 def frames_of(folder: Path) -> Iterator[tuple[dict[str, str], list[Floats]]]:
-    """Each frame's row, and its readings as columns: position, span, direction, curvature."""
+    """Each frame's row, and its readings as columns: position, span, angle, curvature."""
     rows: dict[str, list[list[float]]] = {}
     with (folder / "readings.csv").open(newline="") as file:
         for row in csv.DictReader(file):
@@ -255,13 +255,13 @@ def frames_of(folder: Path) -> Iterator[tuple[dict[str, str], list[Floats]]]:
             yield row, list(np.array(rows[row["frame"]]).T)
 
 
-def in_plane(position: Floats, direction: Floats, curvature: Floats) -> tuple[Floats, Floats]:
+def in_plane(position: Floats, angle: Floats, curvature: Floats) -> tuple[Floats, Floats]:
     """Readings around the body as those of one plane: that in which the body bends most."""
     places = np.unique(position)
     vectors = []
     for place in places:
         same_place = position == place
-        axes = np.stack([np.cos(direction[same_place]), np.sin(direction[same_place])], axis=1)
+        axes = np.stack([np.cos(angle[same_place]), np.sin(angle[same_place])], axis=1)
         vectors.append(np.linalg.lstsq(axes, curvature[same_place], rcond=None)[0])
     bends = np.array(vectors)
     main = np.linalg.svd(bends, full_matrices=False)[2][0]
@@ -270,13 +270,13 @@ def in_plane(position: Floats, direction: Floats, curvature: Floats) -> tuple[Fl
 
 def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list[Any]]:
     """Rows of answers.csv to one frame; none where the method does not answer."""
-    position, span, direction, curvature = columns
+    position, span, angle, curvature = columns
     noise = float(row["noise_per_cm"])
     around: dict[str, Any] = {}
-    if direction.any() and method == METHODS[0]:
-        around = {"direction": direction, "twist": TWIST, "critical_curvature": None}
-    elif direction.any():
-        (position, curvature), span = in_plane(position, direction, curvature), span[:1]
+    if angle.any() and method == METHODS[0]:
+        around = {"angle": angle, "twist": TWIST, "critical_curvature": None}
+    elif angle.any():
+        (position, curvature), span = in_plane(position, angle, curvature), span[:1]
         noise *= float(np.sqrt(2.0 / 3.0))
     count, length = row["contacts"], float(row["length_cm"])
     free = float(row["free_curvature_per_cm"])

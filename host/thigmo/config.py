@@ -8,9 +8,9 @@ calibration can be compared with the truth). Lengths in cm, pressures in psi gau
 A robot is lists: muscles, sensors and body pressures, each with what is known of it.
 
 Sign convention, everywhere in this project: x runs along the straight robot from its base, y to
-its left; curvature is positive when the body bends to the left (towards +y). A direction is an
-angle around the body, in degrees: 90 is +y (left), 270 is -y (right), 0 and 180 leave the plane.
-A muscle bends the body towards its direction; a sensor lies at its own.
+its left; curvature is positive when the body bends to the left (towards +y). Angles
+around the body are in degrees: 90 is +y (left), 270 is -y (right), 0 and 180 leave the plane. A
+muscle bends the body towards its angle; a sensor lies at its own.
 
 Each `_se` is one sigma of what the entry may be off by. Calibration writes what it found; the
 defaults are those of a robot that nobody has calibrated: wide, so that the localizer says
@@ -257,7 +257,7 @@ class Body(Model):
 
 def _default_sensors() -> list[Sensor]:
     return [
-        FlexSensor(direction_deg=DEGREES[side], center_cm=center)
+        FlexSensor(angle_deg=DEGREES[side], center_cm=center)
         for side in SIDES
         for center in (5.0, 15.0, 25.0, 35.0, 45.0)
     ]
@@ -328,7 +328,7 @@ def _default_muscles(robot: dict[str, Any]) -> list[Muscle]:
     return [
         Muscle(
             name=side,
-            direction_deg=DEGREES[side],
+            angle_deg=DEGREES[side],
             maps=[MuscleMap(body_pressure_psi=pressure.pressure_psi) for pressure in pressures],
         )
         for side in SIDES
@@ -399,7 +399,7 @@ class RobotConfig(Model):
         validation_alias="muscle",
         serialization_alias="muscle",
     )
-    # Sensors, those of a direction base first.
+    # Sensors, those at an angle base first.
     sensors: list[Sensor] = Field(
         default_factory=_default_sensors,
         min_length=1,
@@ -426,21 +426,21 @@ class RobotConfig(Model):
                 raise ValueError(f"sensor[{number}] ends beyond body.length_cm")
             if sensor.center_cm - sensor.span_cm / 2 < -1e-6:
                 raise ValueError(f"sensor[{number}] begins before the base: see its span_cm")
-            column = sensor.on_board, sensor.direction_deg
+            column = sensor.on_board, sensor.angle_deg
             if sensor.center_cm < first.setdefault(column, sensor.center_cm):
                 raise ValueError(
                     f"sensor[{number}] lies before the first of its column: list them base first"
                 )
-        directions = [muscle.direction_deg for muscle in self.muscles]
-        if len(set(directions)) < len(directions):
-            raise ValueError("muscle: two of them have the same direction_deg")
-        if len({muscle.name for muscle in self.muscles}) < len(directions):
+        angles = [muscle.angle_deg for muscle in self.muscles]
+        if len(set(angles)) < len(angles):
+            raise ValueError("muscle: two of them have the same angle_deg")
+        if len({muscle.name for muscle in self.muscles}) < len(angles):
             raise ValueError("muscle: two of them have the same name")
         for number, muscle in enumerate(self.muscles):
             if muscle.name in SIDES and muscle.side not in (None, muscle.name):
                 raise ValueError(
                     f"muscle[{number}] is named {muscle.name}, which is {DEGREES[muscle.name]:g} "
-                    "degrees: give it another name or direction_deg"
+                    "degrees: give it another name or angle_deg"
                 )
             if len(muscle.maps) != len(self.body.pressures):
                 raise ValueError(f"muscle[{number}].map: one for each of body.pressure is needed")
@@ -478,15 +478,15 @@ class RobotConfig(Model):
     def muscle_number(self, towards: str | float) -> int:
         """The board's number of a muscle: its place in robot.toml.
 
-        It is found by its name, or by the direction (degrees) towards which it bends the body.
+        It is found by its name, or by the angle (degrees) towards which it bends the body.
         Raises ConfigError if there is none.
         """
         for number, muscle in enumerate(self.muscles):
-            if towards in (muscle.name, muscle.direction_deg):
+            if towards in (muscle.name, muscle.angle_deg):
                 return number
         raise ConfigError(
             f"the robot has no muscle {towards}",
-            f"use {' or '.join(f'{m.name} ({m.direction_deg:g})' for m in self.muscles)}",
+            f"use {' or '.join(f'{m.name} ({m.angle_deg:g})' for m in self.muscles)}",
         )
 
     def muscle(self, side: Side) -> Muscle:
@@ -499,10 +499,10 @@ class RobotConfig(Model):
             f"use {' or '.join(muscle.name for muscle in self.muscles)}",
         )
 
-    def column_name(self, direction_deg: float) -> str:
-        """What the sensors at a direction are called: as the muscle there, or by the direction."""
-        names = (m.name for m in self.muscles if m.direction_deg == direction_deg)
-        return next(names, f"{direction_deg:g} deg")
+    def column_name(self, angle_deg: float) -> str:
+        """What the sensors at an angle are called: as the muscle there, or by the angle."""
+        names = (m.name for m in self.muscles if m.angle_deg == angle_deg)
+        return next(names, f"{angle_deg:g} deg")
 
     @property
     def board_sensors(self) -> list[BoardSensor]:

@@ -99,7 +99,7 @@ class WiredSensor(NamedTuple):
 
     number: int  # of its input
     sensor: BoardSensor
-    share: float  # cosine between the muscle's direction and that in which it reads positive
+    share: float  # cosine between the muscle's angle and that towards which it reads positive
 
     @property
     def sound(self) -> bool:
@@ -109,9 +109,9 @@ class WiredSensor(NamedTuple):
 
 
 class Column(NamedTuple):
-    """The sensors at one direction, base first."""
+    """The sensors at one angle, base first."""
 
-    name: str  # of the muscle there, or the direction
+    name: str  # of the muscle there, or the angle
     side: Side | None  # of the plane
     inputs: list[int]
     centers_cm: list[float]
@@ -166,15 +166,15 @@ class Wiring:
     def sensors_reading(self, muscle: Muscle) -> list[WiredSensor]:
         """The sensors that read at least half of a muscle's bend and do not wrinkle, base first.
 
-        A sensor and the one opposite read positive towards the same direction, that below 180
+        A sensor and the one opposite read positive towards the same angle, that below 180
         degrees: in the plane towards 90.
         """
         reading = []
         for number, sensor in enumerate(self.sensors):
             if sensor is None:
                 continue
-            lies, bends = radians(sensor.direction_deg), radians(muscle.direction_deg)
-            share = cos(lies - bends) * (1 if sensor.direction_deg < 180.0 else -1)
+            lies, bends = radians(sensor.angle_deg), radians(muscle.angle_deg)
+            share = cos(lies - bends) * (1 if sensor.angle_deg < 180.0 else -1)
             wrinkles = sensor.wrinkles and cos(lies - bends) > _SAME_SHARE
             if abs(share) >= _LEAST_SHARE and not wrinkles:
                 reading.append(WiredSensor(number, sensor, share))
@@ -205,8 +205,8 @@ class Wiring:
         """The robot's columns, and the inputs that they hang on."""
         inputs = {id(sensor): number for number, sensor in enumerate(self.sensors) if sensor}
         columns: dict[float, Column] = {}
-        for sensor in sorted(self.config.board_sensors, key=lambda sensor: sensor.direction_deg):
-            lies = sensor.direction_deg
+        for sensor in sorted(self.config.board_sensors, key=lambda sensor: sensor.angle_deg):
+            lies = sensor.angle_deg
             name = self.config.column_name(lies)
             column = columns.setdefault(lies, Column(name, sensor.side, [], []))
             column.inputs.append(inputs[id(sensor)])
@@ -235,7 +235,7 @@ class Wiring:
                 'give `interrogator = "host:port"` in robot.toml, or leave the gratings out of it',
             )
         names = [
-            f"muscle {muscle.name} ({muscle.direction_deg:g} degrees)"
+            f"muscle {muscle.name} ({muscle.angle_deg:g} degrees)"
             for muscle in config.muscles
             if muscle.side is None
         ]
@@ -245,7 +245,7 @@ class Wiring:
             return Limitation(
                 f"{' and '.join(names)} out of the plane, which is 90 and 270 degrees",
                 "press its muscles by name and feel in space (`thigmo feel`), or localize its "
-                "readings with a column `direction` (`thigmo localize`)",
+                "readings with a column `angle_deg` (`thigmo localize`)",
             )
         if config.body.rest_curvature:
             return Limitation(
@@ -286,9 +286,9 @@ def _column_inputs(config: RobotConfig, half: int) -> dict[tuple[Side, int], int
 
 
 def _is_base(config: RobotConfig, sensor: BoardSensor) -> bool:
-    """Whether a sensor is the base one at its direction."""
-    lies = sensor.direction_deg
-    return sensor is next(base for base in config.board_sensors if base.direction_deg == lies)
+    """Whether a sensor is the base one at its angle."""
+    lies = sensor.angle_deg
+    return sensor is next(base for base in config.board_sensors if base.angle_deg == lies)
 
 
 def table_key(name: str) -> str:

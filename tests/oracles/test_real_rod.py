@@ -63,7 +63,7 @@ def test_in_space_both_planes_place_the_tip_and_nothing_else(rod):
         for choice in [np.arange(20), *subsets()]:
             result = thigmo.localize(
                 bends[choice].ravel(), np.repeat(rod[0][choice], 2), length=LENGTH, noise=noise,
-                direction=np.tile([0.0, np.pi / 2], len(choice)),
+                angle=np.tile([0.0, np.pi / 2], len(choice)),
             )  # fmt: skip
             last = result.contacts[-1]
             off.append(abs(last.arc - LENGTH))

@@ -127,11 +127,11 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
     (muscle,), column = robot.muscles, robot.sensors
     turned = {name: 90.0 + 120.0 * n for n, name in enumerate(("one", "two", "three"))}
     robot.muscles = [
-        muscle.model_copy(deep=True, update={"name": name, "direction_deg": lies})
+        muscle.model_copy(deep=True, update={"name": name, "angle_deg": lies})
         for name, lies in turned.items()
     ]
     robot.sensors = [
-        sensor.model_copy(update={"direction_deg": (lies + 180.0) % 360.0})
+        sensor.model_copy(update={"angle_deg": (lies + 180.0) % 360.0})
         for lies in turned.values()
         for sensor in column
     ]
@@ -144,9 +144,7 @@ def test_muscles_out_of_the_plane_are_driven_and_not_explored_with(
     scene.save(tmp_path / "space.toml")
     robot.save(tmp_path / "robot.toml")
     ran = thigmo("robot", "check", tmp_path / "robot.toml")
-    apart = " and ".join(
-        f"muscle {m.name} ({m.direction_deg:g} degrees)" for m in robot.muscles[1:]
-    )
+    apart = " and ".join(f"muscle {m.name} ({m.angle_deg:g} degrees)" for m in robot.muscles[1:])
     assert f"{apart} and 6 sensors out of the plane" in " ".join(ran.out.split())
     url = f"emulator://{tmp_path / 'space.toml'}"
     ran = thigmo("explore", "--robot", url, "--out", tmp_path / "runs")
@@ -193,7 +191,7 @@ def test_a_base_sensor_that_reads_half_of_a_bend_does_not_take_it_for_a_contact(
 ) -> None:
     robot = draft(53, 3, 1)
     for sensor in robot.sensors:
-        sensor.direction_deg = 210.0
+        sensor.angle_deg = 210.0
     scene = room_for(robot, 0, peg=False)
     scene.start_length_cm, scene.start_settled = robot.body.length_cm, True
     with connect(room_file(tmp_path, scene)) as driven:

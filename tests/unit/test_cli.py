@@ -349,13 +349,13 @@ def test_frames_in_rows_get_an_answer_each(tmp_path: Path, thigmo: Thigmo) -> No
     assert "NAME=POSITION" in thigmo(*call, "--columns", "k0").err
 
 
-def test_columns_with_directions_are_localized_in_space(tmp_path: Path, thigmo: Thigmo) -> None:
+def test_columns_with_angles_are_localized_in_space(tmp_path: Path, thigmo: Thigmo) -> None:
     arcs = (10, 20, 30, 40, 50)
     bends = [(2e-4 * max(45 - arc, 0), -1e-4 * max(45 - arc, 0)) for arc in arcs]
     table, frames = tmp_path / "fibre.csv", tmp_path / "frames.csv"
     rows = [f"{a},{k},{d}" for a, both in zip(arcs, bends, strict=True)
             for k, d in zip(both, (0, 90), strict=True)]  # fmt: skip
-    table.write_text("position,curvature,direction\n" + "\n".join(rows) + "\n")
+    table.write_text("position,curvature,angle_deg\n" + "\n".join(rows) + "\n")
     stated = ["--length", "53", "--noise", "0.0003", "--twist", "1.3", "--held-end", "no"]
     answer = json.loads(thigmo("localize", table, *stated, "--json").out)
     _, toward_0, toward_90 = answer["contacts"][0]["vector"]

@@ -49,7 +49,7 @@ def test_an_existing_file_is_kept_aside_each_time(tmp_path: Path) -> None:
         ("[[sensor]]\ncenter_cm = 5\nnoise = 0", "noise must be above 0, not 0"),
         ("[[muscle]]\nname = 'a=b'", "muscle.0.name: give a name on one line"),
         ('[[muscle]]\nname = "a\\nb"', "muscle.0.name: give a name on one line"),
-        ("[[muscle]]\nname = 'right'\ndirection_deg = 90", "named right, which is 270 degrees"),
+        ("[[muscle]]\nname = 'right'\nangle_deg = 90", "named right, which is 270 degrees"),
     ],
 )
 def test_a_wrong_entry_is_named_in_one_line(tmp_path: Path, text: str, named: str) -> None:
@@ -78,7 +78,7 @@ def test_a_boundary_belongs_to_the_body_pressure_below(
 
 
 def test_a_robot_of_one_muscle_has_one_side() -> None:
-    config = RobotConfig(muscles=[Muscle(name="bender", direction_deg=270)])
+    config = RobotConfig(muscles=[Muscle(name="bender", angle_deg=270)])
     assert config.sides == ("right",)
     with pytest.raises(ConfigError, match="use bender"):
         config.muscle("left")

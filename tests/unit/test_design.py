@@ -266,7 +266,7 @@ def test_a_run_whose_robot_is_refused_today_is_told_which_table_to_correct(tmp_p
     file = tmp_path / "robot.toml"
     draft(30, 3, 1).save(file)
     text = file.read_text()
-    swapped = text.replace("direction_deg = 90.0", "direction_deg = 270.0", 1)
+    swapped = text.replace("angle_deg = 90.0", "angle_deg = 270.0", 1)
     lines = text.splitlines()
     muscle, sensors = lines.index("[[muscle]]"), [n for n, t in enumerate(lines) if "[[sens" in t]
     reordered = text.replace("center_cm = 13.5", "center_cm = 4.0", 1)
@@ -323,7 +323,7 @@ def test_a_robot_of_more_than_two_muscles_has_a_column_opposite_each(
 @pytest.mark.parametrize(("kind", "columns"), [("flex", 2), ("heading", 1), ("fibre", 0)])
 def test_a_robot_without_muscles_has_sensors_to_feel_with(kind: str, columns: int) -> None:
     config = draft(53, 5, 0, kind=kind)
-    assert len({sensor.direction_deg for sensor in config.board_sensors}) == columns
+    assert len({sensor.angle_deg for sensor in config.board_sensors}) == columns
     assert len(config.gratings) == (10 if kind == "fibre" else 0)
     findings = {finding.part: finding for finding in judge(config)}
     assert _bad(judge(config)) == []

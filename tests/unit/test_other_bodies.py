@@ -21,7 +21,7 @@ grows = false
 length_cm = 12.0
 diameter_cm = 1.5
 [[sensor]]
-direction_deg = 270.0
+angle_deg = 270.0
 center_cm = 4.0
 """
 WHISKER = "muscle = []\n"

@@ -77,7 +77,7 @@ def test_a_run_may_start_anywhere() -> None:
 
 
 def test_a_pitch_at_which_a_sensor_would_be_creased_is_left_out() -> None:
-    right = FlexSensor(direction_deg=270, center_cm=5.0)
+    right = FlexSensor(angle_deg=270, center_cm=5.0)
     config = RobotConfig(sensors=[*(FlexSensor(center_cm=c) for c in (5.0, 20.0)), right])
     assert half_everted(config, 20.0) == "left[1]"
     assert stage_lengths(config) == [10, 30, 40, 50, 53]

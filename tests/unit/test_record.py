@@ -216,7 +216,7 @@ def test_a_document_of_another_version_is_refused(tmp_path: Path) -> None:
 def test_the_document_names_its_muscles(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     muscles = NamedMuscle.all_of(RobotConfig())
-    assert [(muscle.side, muscle.direction_deg) for muscle in muscles] == [
+    assert [(muscle.side, muscle.angle_deg) for muscle in muscles] == [
         ("left", 90),
         ("right", 270),
     ]

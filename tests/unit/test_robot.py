@@ -365,8 +365,8 @@ def test_all_settings_fit_the_schemas_ranges() -> None:
 def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() -> None:
     """A sensor at 30 degrees reads all of a bend towards 210, half of which is in the plane."""
     config = RobotConfig(
-        muscles=[Muscle(name=f"{lies:g}deg", direction_deg=lies) for lies in (90.0, 210.0, 0.0)],
-        sensors=[FlexSensor(direction_deg=lies, center_cm=5.0) for lies in (270.0, 30.0)],
+        muscles=[Muscle(name=f"{lies:g}deg", angle_deg=lies) for lies in (90.0, 210.0, 0.0)],
+        sensors=[FlexSensor(angle_deg=lies, center_cm=5.0) for lies in (270.0, 30.0)],
     )
     top_psi = config.board.pressure_range_psi
     full = round(config.muscles[0].maps[0].inflate.curvature(top_psi) * 1e5)
@@ -384,8 +384,8 @@ def test_the_boards_maps_are_what_the_base_sensors_that_guard_a_muscle_read() ->
     # Of a bend towards 0 degrees one sensor reads nothing, and the other wrinkles.
     assert [muscle.name for muscle in Wiring.laid_out(config).unguarded_muscles] == ["0deg"]
     # One that reads half of a bend guards it in place of a dead one that would read all.
-    config.sensors[0].healthy, config.sensors[0].direction_deg = False, 30.0
-    config.sensors[1].direction_deg = 330.0
+    config.sensors[0].healthy, config.sensors[0].angle_deg = False, 30.0
+    config.sensors[1].angle_deg = 330.0
     assert sent()[1] == pytest.approx(full / 2, abs=1)
 
 

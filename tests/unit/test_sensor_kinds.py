@@ -11,7 +11,7 @@ from thigmo.sensors import KINDS, AnySensor, FlexSensor, HeadingSensor
 
 
 def made(kind: str) -> AnySensor:
-    return KINDS[kind](kind=kind, center_cm=12.0, span_cm=4.0, direction_deg=270.0)
+    return KINDS[kind](kind=kind, center_cm=12.0, span_cm=4.0, angle_deg=270.0)
 
 
 @pytest.mark.parametrize("kind", KINDS)

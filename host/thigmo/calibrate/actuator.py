@@ -224,8 +224,8 @@ def together(fits: Sequence[ActuatorResult], unmeasured: Sequence[Muscle] = ()) 
 def _unmeasured_text(muscle: Muscle) -> str:
     return (
         f"muscle {muscle.name} is not calibrated: no healthy sensor reads a bend towards "
-        f"{muscle.direction_deg:g} degrees, and the camera sees the plane only; put a sensor at "
-        f"{(muscle.direction_deg + 180) % 360:g} degrees"
+        f"{muscle.angle_deg:g} degrees, and the camera sees the plane only; put a sensor at "
+        f"{(muscle.angle_deg + 180) % 360:g} degrees"
     )
 
 
@@ -476,7 +476,7 @@ def _wrong_bend_reason(readings: BendReadings, bend: float) -> str:
     if bend > -_LEAST_BEND:
         return (
             f"the robot does not bend when the {name} muscle is inflated: check its air, and its "
-            "direction_deg and that of the sensors"
+            "angle_deg and that of the sensors"
         )
     cause = "the camera's picture is mirrored"
     if readings.sensors:

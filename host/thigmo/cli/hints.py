@@ -36,7 +36,7 @@ def hints(
         hints.append(
             "the readings have the other sign than the free curvature: change the sign of one"
         )
-    elif options.get("direction") is None and (
+    elif options.get("angle") is None and (
         opposite := _opposite_columns(curvature[finite], position[finite], noise)
     ):
         hints.append(
@@ -44,7 +44,7 @@ def hints(
             "column that faces the other way"
         )
     elif (
-        options.get("direction") is None
+        options.get("angle") is None
         and options.get("held_end") is not True
         and _bends_the_end(
             (curvature - free)[finite],

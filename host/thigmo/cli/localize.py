@@ -26,7 +26,7 @@ def localize(
         Path,
         typer.Argument(
             help="CSV with columns position and curvature, and optionally span and (in space) "
-            "direction, in degrees around the body. `-` is the standard input; `example` is a file "
+            "angle_deg, around the body. `-` is the standard input; `example` is a file "
             "to try the command on."
         ),
     ],
@@ -89,7 +89,7 @@ def localize(
     weight: Annotated[
         str | None,
         typer.Option(
-            help="In space: weight per length over EI, along the base, towards direction 0 and "
+            help="In space: weight per length over EI, along the base, towards angle 0 and "
             "towards 90: 0,-0.5,0."
         ),
     ] = None,
@@ -109,7 +109,7 @@ def localize(
         str | None,
         typer.Option(
             help="For a file with a frame in each row: its columns, and the positions of their "
-            "sensors, k0=5,k1=15; in space also their directions, k0=5@0,k1=5@90. Prints CSV with "
+            "sensors, k0=5,k1=15; in space also their angles, k0=5@0,k1=5@90. Prints CSV with "
             "a row for each contact, and for each frame without one. A column t_s is copied."
         ),
     ] = None,
@@ -143,14 +143,14 @@ def localize(
     if frames is None:
         table = read_readings(file)
     else:  # the sensors are the same in every row
-        directions = [direction for _, direction in named.values() if direction is not None]
-        if len(directions) not in (0, len(named)):
+        angles = [angle for _, angle in named.values() if angle is not None]
+        if len(angles) not in (0, len(named)):
             raise DataError(
-                "--columns has directions for some sensors", "give NAME=POSITION@DEGREES for all"
+                "--columns has angles for some sensors", "give NAME=POSITION@DEGREES for all"
             )
         table = ReadingsTable(
             frames.position, frames.curvature[0], None, frames.lines[:1],
-            np.deg2rad(directions) if directions else None, remarks=frames.remarks,
+            np.deg2rad(angles) if angles else None, remarks=frames.remarks,
         )  # fmt: skip
     if table.strain is not None and config is None:
         raise DataError("the readings are strains", "give the robot's file: --config robot.toml")
@@ -173,7 +173,7 @@ def localize(
         "stiffness": _numbers(stiffness, "--stiffness", "EI,ERROR such as 500,0.1"),
         "twist": twist,
         "weight": _numbers(weight, "--weight", "three numbers, such as 0,-0.5,0"),
-        "direction": table.direction,
+        "angle": table.angle,
     }
     stated |= {name: value for name, value in flags.items() if value is not None}
     if noise is not None:
@@ -282,15 +282,15 @@ def _facts(result: LocalizeResult, table: ReadingsTable) -> dict[str, Any]:
 
 
 def _frames(columns: str) -> dict[str, tuple[float, float | None]]:
-    """Columns by name, with the positions of their sensors, and their directions in degrees."""
+    """Columns by name, with the positions of their sensors, and their angles in degrees."""
     from thigmo.errors import DataError
 
     stated = {}
     for part in columns.split(","):
         name, _, place = part.rpartition("=")
-        arc, _, direction = place.partition("@")
+        arc, _, angle = place.partition("@")
         try:
-            stated[name.strip()] = float(arc), float(direction) if direction else None
+            stated[name.strip()] = float(arc), float(angle) if angle else None
         except ValueError:
             name = ""
         if not name.strip():

@@ -143,7 +143,7 @@ def _outside(lies_deg: float) -> Literal[-1, 1]:
 
 def _flex(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
     sensor = FlexSensor(
-        direction_deg=lies_deg,
+        angle_deg=lies_deg,
         center_cm=pitch_cm * (number + 0.5),
         span_cm=min(_SPAN_CM, pitch_cm - _GAP_CM),
         # Resistance rises on the outside of a bend.
@@ -159,7 +159,7 @@ def _imu(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
     start = end - pitch_cm if number else 0.0
     sensor = HeadingSensor(
         kind="heading",
-        direction_deg=lies_deg,
+        angle_deg=lies_deg,
         center_cm=(start + end) / 2,
         span_cm=end - start,
         mux_channel=number // 2,
@@ -177,10 +177,10 @@ def _grating(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
         FibreSensor(
             kind="fibre",
             center_cm=center_cm,
-            direction_deg=direction_deg,
+            angle_deg=angle_deg,
             scale_per_ue=reading_scale,
         )
-        for direction_deg, reading_scale in ((lies_deg, scale), (0.0, abs(scale)))
+        for angle_deg, reading_scale in ((lies_deg, scale), (0.0, abs(scale)))
     ]
 
 
@@ -188,7 +188,7 @@ def _grating(lies_deg: float, pitch_cm: float, number: int) -> list[Sensor]:
 class Layout:
     """How a kind of sensors is laid along a robot."""
 
-    place: Callable[[float, float, int], list[Sensor]]  # at a direction and pitch, by number
+    place: Callable[[float, float, int], list[Sensor]]  # at an angle and pitch, by number
     least_pitch_cm: float
     plane_only: str = ""  # why it cannot serve muscles out of the plane; empty if it can
     one_column: bool = False  # one serves all muscles
@@ -241,7 +241,7 @@ def _muscle(towards_deg: float, body: Body) -> Muscle:
     share = min(1.0, _FULL_BEND_RAD / (_AMPLITUDE[0] * body.length_cm))
     return Muscle(
         name=side_at(towards_deg) or f"{towards_deg:g}deg",
-        direction_deg=towards_deg,
+        angle_deg=towards_deg,
         lag_s=0.31,
         maps=[_map(pressure.pressure_psi, share, (9.0, 7.8)) for pressure in body.pressures],
     )

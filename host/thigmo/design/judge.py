@@ -247,7 +247,7 @@ def _out_of_plane(wiring: Wiring, muscle: Muscle) -> Iterator[Finding]:
     if not any(wired.sound for wired in wiring.sensors_reading(muscle)):
         text = (
             "cannot be calibrated: no healthy sensor reads a bend towards "
-            f"{muscle.direction_deg:g} degrees, and the camera sees the plane only"
+            f"{muscle.angle_deg:g} degrees, and the camera sees the plane only"
         )
         yield Finding(part, "warning", text)
     if not (bases := wiring.trigger_sensors(muscle)):
@@ -258,7 +258,7 @@ def _out_of_plane(wiring: Wiring, muscle: Muscle) -> Iterator[Finding]:
         yield Finding(part, "warning", text)
         return
     share = abs(bases[0].share)
-    names = " and ".join(f"{base.sensor.direction_deg:g} degrees" for base in bases)
+    names = " and ".join(f"{base.sensor.angle_deg:g} degrees" for base in bases)
     text = (
         f"the base sensor at {names} guards its bends and reads {100 * share:.0f} % of them, so "
         f"a contact is felt from {TRIGGER_PER_CM / share:.4f} 1/cm on"
@@ -446,9 +446,9 @@ def _signs(config: RobotConfig) -> Iterator[Finding]:
     scales: dict[tuple[str, float], list[float]] = {}
     for sensor_of_column in config.sensors:
         if not sensor_of_column.bend_sign:
-            key = sensor_of_column.kind, sensor_of_column.direction_deg
+            key = sensor_of_column.kind, sensor_of_column.angle_deg
             scales.setdefault(key, []).append(sensor_of_column.raw_scale)
-    for (kind, direction_deg), column in scales.items():
+    for (kind, angle_deg), column in scales.items():
         minority, sign = min((sum(s > 0 for s in column), 1), (sum(s < 0 for s in column), -1))
         if minority:
             places = ", ".join(str(k) for k, s in enumerate(column) if s * sign > 0)
@@ -456,18 +456,18 @@ def _signs(config: RobotConfig) -> Iterator[Finding]:
                 f"scales of both signs: those of {kind} {places} (0 = at the base) differ from the "
                 "others'; correct them, unless these sensors lie the other way up"
             )
-            yield Finding(f"column {config.column_name(direction_deg)}", "warning", text)
+            yield Finding(f"column {config.column_name(angle_deg)}", "warning", text)
 
 
 def _healthy_on_board(config: RobotConfig) -> list[tuple[str, BoardSensor]]:
     """The healthy sensors that the board reads, by name."""
-    count_by_direction: dict[float, int] = {}
+    count_by_angle: dict[float, int] = {}
     healthy = []
     for sensor in config.board_sensors:
-        direction_deg = sensor.direction_deg
-        k = count_by_direction[direction_deg] = count_by_direction.get(direction_deg, -1) + 1
+        angle_deg = sensor.angle_deg
+        k = count_by_angle[angle_deg] = count_by_angle.get(angle_deg, -1) + 1
         if sensor.healthy:
-            healthy.append((f"{config.column_name(direction_deg)} {k}", sensor))
+            healthy.append((f"{config.column_name(angle_deg)} {k}", sensor))
     return healthy
 
 

@@ -49,9 +49,9 @@ class EmulatedFibre:
         self._spans = np.array([max(grating.span_cm, 1e-9) for grating in gratings])
         self._fold_bend = fold_bend  # 1/cm, which a grating sees while the tip's fold passes
         twist = radians(parameters.twist_deg) * rng.standard_normal()
-        directions = np.radians([grating.direction_deg % 180.0 for grating in gratings])
+        angles = np.radians([grating.angle_deg % 180.0 for grating in gratings])
         scale = np.array([grating.scale_per_ue for grating in gratings])
-        self._per_bend = np.sin(directions + twist) / scale  # microstrain for 1/cm in the plane
+        self._per_bend = np.sin(angles + twist) / scale  # microstrain for 1/cm in the plane
         self._zero = np.array([grating.zero_ue for grating in gratings])
         self._seat = np.zeros(len(gratings))
         self._drift = np.zeros(len(gratings))

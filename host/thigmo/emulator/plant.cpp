@@ -168,7 +168,7 @@ struct Spool {
 
 struct FlexSensor {
   // What ails all sensors.
-  double loop_width, wrong_gain, wrinkle, wrinkle_start_psi, wrinkle_full_psi, fold_bend;
+  double loop_width, against_gain, wrinkle, wrinkle_start_psi, wrinkle_full_psi, fold_bend;
   // Its own.
   double center_cm, span_cm, scale_per_ohm, zero_ohm, divider_ohm, bend_sign, loop, creep_tau_s;
   double stowed, phase_1, phase_2;
@@ -191,7 +191,7 @@ struct FlexSensor {
 
   // Ideal ADC count at a mean curvature (over the everted part), under its side's muscle.
   double count(double curvature, double length_cm, double t_s, double muscle_psi) {
-    double value = curvature * bend_sign < 0.0 ? curvature * wrong_gain : curvature;
+    double value = curvature * bend_sign < 0.0 ? curvature * against_gain : curvature;
     // Dahl's model of the loop: the lag saturates after loop_width of bending.
     const double change = curvature - bent;
     bent = curvature;
@@ -264,7 +264,7 @@ NB_MODULE(_plant, m) {
       .def_ro("line_cm", &Spool::line_cm);
   nb::class_<FlexSensor>(m, "FlexSensor")
       .def(nb::init<D, D, D, D, D, D, D, D, D, D, D, D, D, D, D, D, D>(), nb::kw_only(),
-           nb::arg("loop_width"), nb::arg("wrong_gain"), nb::arg("wrinkle"),
+           nb::arg("loop_width"), nb::arg("against_gain"), nb::arg("wrinkle"),
            nb::arg("wrinkle_start_psi"), nb::arg("wrinkle_full_psi"), nb::arg("fold_bend"),
            nb::arg("center_cm"), nb::arg("span_cm"), nb::arg("scale_per_ohm"), nb::arg("zero_ohm"),
            nb::arg("divider_ohm"), nb::arg("bend_sign"), nb::arg("loop"), nb::arg("creep_tau_s"),

@@ -204,7 +204,7 @@ class Plant:
         self._reads = np.tile([1.0, 0.0], (len(self._curvature), 1))  # of either bend
         for n, sensor in enumerate(wired):
             if sensor is not None:
-                sign = 1.0 if sensor.direction_deg < 180.0 else -1.0
+                sign = 1.0 if sensor.angle_deg < 180.0 else -1.0
                 self._reads[n] = sign * np.ravel(_parts([sensor]))
         self.body = Rod(
             Tube(
@@ -234,15 +234,15 @@ class Plant:
     def _make_sensors(self, wired: Sequence[config.Sensor | None]) -> list[FlexSensor]:
         scene, f = self.scene, self.scene.flex
         # The muscle under each sensor, by number.
-        muscle_at = {muscle.direction_deg: n for n, muscle in enumerate(scene.robot.muscles)}
-        self._under = [muscle_at.get(s.direction_deg) if s else None for s in wired]
+        muscle_at = {muscle.angle_deg: n for n, muscle in enumerate(scene.robot.muscles)}
+        self._under = [muscle_at.get(s.angle_deg) if s else None for s in wired]
         draws = self._rng.standard_normal((len(wired), 2))
         phases = self._rng.uniform(0, 2 * pi, (len(wired), 2))
         sensors = []
         for i, on_input in enumerate(wired):
             sensor = on_input if isinstance(on_input, config.FlexSensor) else _NO_SENSOR
             flex_sensor = FlexSensor(
-                loop_width=scene.noise.hysteresis_width, wrong_gain=f.wrong_direction_gain,
+                loop_width=scene.noise.hysteresis_width, against_gain=f.against_gain,
                 wrinkle=f.wrinkle, wrinkle_start_psi=f.wrinkle_start_psi,
                 wrinkle_full_psi=max(f.wrinkle_full_psi, f.wrinkle_start_psi + 0.1),
                 fold_bend=self._fold_bend, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
@@ -547,7 +547,7 @@ class Plant:
             self.body.place([self._obstacles[n] for n in self._standing])
 
     def _measure(self) -> None:
-        """Mean curvature over the everted part of each sensor, in its direction.
+        """Mean curvature over the everted part of each sensor, towards its angle.
 
         Out of the plane the body is free: there it touches nothing and bends evenly.
         """
@@ -627,6 +627,6 @@ def _row(wall: Wall) -> list[Peg]:
 def _parts(
     placed: Sequence[config.Muscle] | Sequence[config.Sensor],
 ) -> tuple[list[float], list[float]]:
-    """Shares of a bend at each direction that are in the plane, to the left, and across it."""
-    angles = [radians(thing.direction_deg) for thing in placed]
+    """Shares of a bend at each angle that are in the plane, to the left, and across it."""
+    angles = [radians(thing.angle_deg) for thing in placed]
     return [sin(angle) for angle in angles], [cos(angle) for angle in angles]

@@ -122,7 +122,7 @@ class Flex(Model):
 
     # 1/cm just after eversion, one sigma over sensors; less in a tube thicker than 3.5 cm
     creep: NonNegative = 0.02
-    wrong_direction_gain: NonNegative = 0.6  # response to bends against bend_sign
+    against_gain: NonNegative = 0.6  # response to bends against bend_sign
     wrinkle: NonNegative = 0.012  # 1/cm, size of the garbage on the active side
     wrinkle_start_psi: NonNegative = 1.0
     wrinkle_full_psi: Positive = 4.0

@@ -204,7 +204,7 @@ def _localized(
         return _answer(length_cm, sensors, curvature, free, shape, errors, whole)
     least_fold = errors["critical_curvature"] * (1 - 2 * errors["critical_curvature_error"])
     errors = {name: value for name, value in errors.items() if name not in _OF_THE_PLANE}
-    errors["direction"] = np.array([_positive_towards(sensor) for sensor in sensors])
+    errors["angle"] = np.array([_positive_towards(sensor) for sensor in sensors])
     result = _answer(length_cm, sensors, curvature, free, shape, errors, whole)
     if sum(abs(contact.force) * contact.arc for contact in result.contacts) < least_fold:
         return result
@@ -255,21 +255,21 @@ def _answer(
 
 def _positive_towards(sensor: Sensor) -> float:
     """Angle (rad) about the body towards which a bend reads positive: below 180 degrees."""
-    return radians(sensor.direction_deg % 180.0)
+    return radians(sensor.angle_deg % 180.0)
 
 
 def _share(sensor: Sensor, muscle: Muscle) -> float:
     """Share of a muscle's bend that a sensor reads, with its sign."""
-    return cos(_positive_towards(sensor) - radians(muscle.direction_deg))
+    return cos(_positive_towards(sensor) - radians(muscle.angle_deg))
 
 
 def _under(sensor: Sensor, muscle: Muscle) -> bool:
-    """Whether a muscle wrinkles what lies at a sensor's direction."""
-    return cos(radians(sensor.direction_deg - muscle.direction_deg)) > _SAME_SHARE
+    """Whether a muscle wrinkles what lies at a sensor's angle."""
+    return cos(radians(sensor.angle_deg - muscle.angle_deg)) > _SAME_SHARE
 
 
 def _at_rest(config: RobotConfig, sensor: Sensor) -> float:
-    """Mean curvature (1/cm) that a preformed bend has at a sensor, in its direction."""
+    """Mean curvature (1/cm) that a preformed bend has at a sensor, towards its angle."""
     bend = rest_mean(config.body.rest_pieces, [sensor.center_cm], [sensor.span_cm])
     return float(bend[0]) * cos(_positive_towards(sensor) - radians(DEGREES["left"]))
 

@@ -50,7 +50,7 @@ struct Options {
   Window within;
   double width_limit;
   double number_level;  // probability of the number, below which nothing is localized
-  // Of a body in space: its readings' directions, and what bends it beside contacts.
+  // Of a body in space: its readings' axes, and what bends it beside contacts.
   Matrix axis;           // (N, 3) unit vector of the turn that each measures; none in a plane
   Matrix curvature_map;  // (2 cells, N) the body's bends in each cell, from readings
   Row compliance;        // EI over the stiffness against each component of a moment

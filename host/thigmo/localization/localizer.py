@@ -275,7 +275,7 @@ class Localizer:
         slack = positive(body.critical_curvature_error, "critical_curvature_error")
         space = in_space(body, self.sensors, x, widths)
         if space.axis.size and self.method != "posterior":
-            raise DataError(f"{self.method} knows no direction", "leave it out, or the method")
+            raise DataError(f"{self.method} knows no angles", "leave it out, or the method")
         if space.axis.size and moment < math.inf:
             raise DataError(
                 "critical_curvature is given, and no fold is weighed in space", "leave it out"

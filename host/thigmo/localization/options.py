@@ -40,7 +40,7 @@ class Body:
             relative standard error; contacts of a frame then have `newtons`.
         twist: bending over torsional stiffness, EI/GJ, in space; 0 for a body that does not twist.
         weight: (3,) weight per length over EI, in space, 1/length^3: its components along the body
-            at the base, towards direction 0, and towards a quarter turn from it. `free_curvature`
+            at the base, towards angle 0, and towards a quarter turn from it. `free_curvature`
             is then the curvature of the body without its weight.
     """
 
@@ -60,24 +60,26 @@ class Body:
 class Sensors:
     """N curvature sensors along the body.
 
-    Contacts are localized in space, not in a plane, if the sensors have a direction or the body has
-    a weight. A fibre grating that measures both bends counts as two sensors at one place.
+    Contacts are localized in space, not in a plane, if the sensors have angles or axes, or the body
+    has a weight. A fibre grating that measures both bends counts as two sensors at one place.
 
     Attributes:
         position: (N,) arcs of the sensors' centres, 0 at the base.
         span: scalar or (N,) lengths of the sensors; 0 for point sensors.
-        direction: in space, (N,) the angle about the body (rad) towards which the body bends if the
-            reading is positive, in a frame that is carried along the body without twist; or (N, 3)
-            unit vectors of the axes about which the sensors measure the turn per length, with
-            components along the body, towards direction 0, and towards a quarter turn from it.
+        angle: in space, (N,) the angle about the body (rad) towards which the body bends if the
+            reading is positive, in a frame that is carried along the body without twist.
+        axis: in place of `angle`, (N, 3) unit vectors of the axes about which the sensors measure
+            the turn per length, with components along the body, towards angle 0, and towards a
+            quarter turn from it.
     """
 
     position: npt.ArrayLike
     span: npt.ArrayLike = 0.0
-    direction: npt.ArrayLike | None = None
+    angle: npt.ArrayLike | None = None
+    axis: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        _keep(self, "position", "span", "direction")
+        _keep(self, "position", "span", "angle", "axis")
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,7 @@ class Contact:
         end_offset: for a contact on the end of the body, the offset of its point from the
             centreline towards +y; None for one on the side.
         vector: in space, the force over EI across the body by the likeliest explanation, with
-            components along the body at its base, towards direction 0, and towards a quarter turn
+            components along the body at its base, towards angle 0, and towards a quarter turn
             from it. `force` is then its magnitude. None in a plane.
         newtons: the load in newtons if the body's `stiffness` is given; else None.
     """
@@ -405,7 +405,7 @@ class LocalizeResult:
     def bend(self) -> Array:
         """(K, 2) arcs, and the curvature that the loads add to the free one there.
 
-        A fold is left out. In space (K, 3), with the curvatures towards direction 0 and towards a
+        A fold is left out. In space (K, 3), with the curvatures towards angle 0 and towards a
         quarter turn from it. Without contacts there are no rows.
         """
         above = self._body.bend[: None if self.contacts else 0] / self.length

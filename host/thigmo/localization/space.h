@@ -406,7 +406,7 @@ class SpaceBody : public Body {
     return {force, couple};
   }
 
-  // The column of a couple that twists the end, whose twist turns the directions in which all other
+  // The column of a couple that twists the end, whose twist turns the angles at which all other
   // loads bend the body: its derivative where the loads were last found (Gauss and Newton).
   void lay_twist_column(const std::vector<PlacedLoad>& loads) {
     constexpr double kStep = 1e-4;

@@ -1,7 +1,7 @@
-"""Prepares a body in space for the compiled code: the readings' directions, stiffness and weight.
+"""Prepares a body in space for the compiled code: the readings' axes, stiffness and weight.
 
 Components are in a frame that is carried along the body without twist: along the body, towards
-direction 0, and towards a quarter turn from it (`space.h`).
+angle 0, and towards a quarter turn from it (`space.h`).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from thigmo.errors import DataError
 from thigmo.localization.options import Body, Sensors
@@ -28,15 +29,15 @@ class Space(NamedTuple):
 
 
 def in_space(body: Body, sensors: Sensors, position: Array, span: Array) -> Space:
-    """The arguments for a body in space, if it has directions or a weight; else empty ones.
+    """The arguments for a body in space, if it has angles, axes or a weight; else empty ones.
 
     Raises:
-        DataError: directions, twist or weight are impossible.
+        DataError: angles, axes, twist or weight are impossible.
     """
     twist = positive(body.twist, "twist")
-    if sensors.direction is None and body.weight is None:
+    if sensors.angle is None and sensors.axis is None and body.weight is None:
         if twist > 0.0:
-            raise DataError("twist is given without directions", "give direction, too")
+            raise DataError("twist is given without angles", "give angle, too")
         return Space(np.zeros((0, 3)), np.zeros((0, 0)), np.zeros(0), np.zeros(0))
     weight = vector(np.zeros(3) if body.weight is None else body.weight, "weight")
     if weight.size != 3 or not np.isfinite(weight).all():
@@ -51,27 +52,35 @@ def in_space(body: Body, sensors: Sensors, position: Array, span: Array) -> Spac
 
 
 def _axes(sensors: Sensors, count: int) -> Array:
-    try:
-        given = np.asarray(0.0 if sensors.direction is None else sensors.direction, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise DataError("direction is not numeric", "give angles in rad, (N,)") from error
-    if not np.isfinite(given).all():
-        raise DataError("a direction is not finite", "give each sensor's angle")
-    if given.ndim < 2 and given.size in (1, count):
-        if np.abs(given).max() > 4.0 * np.pi:
+    """(N, 3) unit vectors of the axes about which the sensors measure the turn per length."""
+    if sensors.axis is None:
+        angle = _numbers(0.0 if sensors.angle is None else sensors.angle, "angle")
+        if angle.ndim > 1 or angle.size not in (1, count):
+            raise DataError(f"angle has shape {angle.shape}", "give an angle for each sensor")
+        if np.abs(angle).max() > 4.0 * np.pi:
             raise DataError(
-                f"a direction is {np.abs(given).max():g}",
-                "it looks like degrees: give rad",
+                f"an angle is {np.abs(angle).max():g}", "it looks like degrees: give rad"
             )
-        angle = np.broadcast_to(given, count)
+        angle = np.broadcast_to(angle, count)
         return np.column_stack([np.zeros(count), -np.sin(angle), np.cos(angle)])
-    if given.shape != (count, 3):
-        raise DataError(
-            f"direction has shape {given.shape}", "give an angle or a unit vector for each sensor"
-        )
-    if np.abs(np.linalg.norm(given, axis=1) - 1.0).max() > 1e-3:
-        raise DataError("a direction is no unit vector", "divide each by its length")
-    return np.ascontiguousarray(given)
+    if sensors.angle is not None:
+        raise DataError("angle and axis are both given", "leave one of them out")
+    axis = _numbers(sensors.axis, "axis")
+    if axis.shape != (count, 3):
+        raise DataError(f"axis has shape {axis.shape}", "give a unit vector for each sensor")
+    if np.abs(np.linalg.norm(axis, axis=1) - 1.0).max() > 1e-3:
+        raise DataError("an axis is no unit vector", "divide each by its length")
+    return np.ascontiguousarray(axis)
+
+
+def _numbers(values: npt.ArrayLike, name: str) -> Array:
+    try:
+        numbers = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} is not numeric", "give numbers for each sensor") from error
+    if not np.isfinite(numbers).all():
+        raise DataError(f"{name} is not finite", "give numbers for each sensor")
+    return numbers
 
 
 def _curvature_map(position: Array, span: Array, axis: Array) -> Array:

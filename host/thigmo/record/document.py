@@ -292,12 +292,12 @@ class NamedMuscle:
 
     side: str  # of the plane, to which it bends the body
     name: str
-    direction_deg: float  # around the body
+    angle_deg: float  # around the body
 
     @classmethod
     def all_of(cls, config: RobotConfig) -> list[Self]:
         """The robot's muscles in the plane."""
-        return [cls(m.side, m.name, m.direction_deg) for m in config.muscles if m.side]
+        return [cls(m.side, m.name, m.angle_deg) for m in config.muscles if m.side]
 
 
 @dataclass(frozen=True, slots=True)

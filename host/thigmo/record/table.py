@@ -131,18 +131,17 @@ class ReadingsTable:
     curvature: Array
     span: Array | None  # None without that column
     lines: tuple[int, ...]  # of the file, from 1
-    direction: Array | None = None  # rad; None without that column
+    angle: Array | None = None  # around the body, rad; None without that column
     strain: Array | None = None  # microstrain, in place of a curvature, which is nan then
     remarks: tuple[str, ...] = ()  # which lines of the file were skipped, and why
 
 
 def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
-    """Read a CSV of readings: columns `position`, `curvature` and optionally `span`, `direction`.
+    """Read a CSV of readings: columns `position`, `curvature` and optionally `span`, `angle_deg`.
 
-    `direction` is in degrees around the body; the result has it in rad, as `Sensors` takes it. The
-    table of a fibre may have `strain` (microstrain) in place of `curvature`. An empty curvature, or
-    NaN, is a sensor that was not read. Whether the values can belong to a body, only the localizer
-    checks.
+    `angle_deg` is around the body; the result has it in rad, as `Sensors` takes it. The table of a
+    fibre may have `strain` (microstrain) in place of `curvature`. An empty curvature, or NaN, is a
+    sensor that was not read. Whether the values can belong to a body, only the localizer checks.
 
     Raises:
         DataError: the file is unreadable, empty or too long, a column is missing or empty, or a
@@ -156,9 +155,9 @@ def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
     else:
         curvature = _readings(table, "curvature", missing=True)
     span = _readings(table, "span") if "span" in table else None
-    direction = np.deg2rad(_readings(table, "direction")) if "direction" in table else None
+    angle = np.deg2rad(_readings(table, "angle_deg")) if "angle_deg" in table else None
     return ReadingsTable(
-        position, curvature, span, tuple(table.lines), direction, strain, table.remarks
+        position, curvature, span, tuple(table.lines), angle, strain, table.remarks
     )
 
 

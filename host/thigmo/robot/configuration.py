@@ -106,7 +106,7 @@ def map_settings(wiring: Wiring) -> list[wire.SetMap]:
     for body_pressure in range(len(wiring.config.body.pressures)):
         for number, muscle in enumerate(wiring.config.muscles):
             shares = [base.share for base in wiring.trigger_sensors(muscle)]
-            share = shares[0] if shares else sin(radians(muscle.direction_deg))
+            share = shares[0] if shares else sin(radians(muscle.angle_deg))
             for branch in wire.Branch:
                 curve = getattr(muscle.maps[body_pressure], branch.key)
                 wired = tuple(round(share * curve.curvature(p) * 1e5) for p in pressures_psi)

@@ -611,7 +611,7 @@ class Robot(Closing):
     def press(self, towards: str | float, psi: float, *, ramp_psi_s: float = 0.0) -> None:
         """Hold one muscle under pressure, and the others at none; returns at once.
 
-        `towards` is the muscle's name, or the direction (degrees) towards which it bends the body.
+        `towards` is the muscle's name, or the angle (degrees) towards which it bends the body.
         A set point below the transducer's live zero (about 2.2 psi) vents it. A ramp of 0 means the
         configured rate. Refused while a sensor is half everted. The operator is warned, once, of a
         muscle that no base sensor guards: no contact is felt while it bends the body.
@@ -663,7 +663,7 @@ class Robot(Closing):
         """Bend towards each muscle in turn along a half sine of pressure, and look for contacts.
 
         Args:
-            tops_psi: peak pressure of each muscle, by its name or the direction (degrees) towards
+            tops_psi: peak pressure of each muscle, by its name or the angle (degrees) towards
                 which it bends the body.
             period_s: period of the whole sine (`sweep_period_s` says how slow it must be).
             rising_only: vent each muscle after its peak, because the way back meets no contact

@@ -13,9 +13,9 @@ from thigmo.toml_model import Finite, NonNegative, NonZero, Positive
 
 
 class FibreSensor(AnySensor):
-    """The bend in one direction at a grating of a multi-core fibre, by the strain of its cores.
+    """The bend towards one angle at a grating of a multi-core fibre, by the strain of its cores.
 
-    A grating has two such sensors, in different directions. An interrogator reads them; the board
+    A grating has two such sensors, at different angles. An interrogator reads them; the board
     does not. The defaults are of an outer core 37 um off the axis, which a curvature of 0.01 1/cm
     strains by 37 microstrain.
     """
@@ -23,7 +23,7 @@ class FibreSensor(AnySensor):
     wrinkles = False
     on_board = False
     calibrated_by_file = True
-    kind: Literal["fibre"]  # a grating's reading in one direction
+    kind: Literal["fibre"]  # a grating's reading at one angle
     span_cm: NonNegative = 0.5  # length of the grating
     scale_per_ue: NonZero = 2.7e-4  # 1/cm per microstrain; sign included
     scale_se: NonNegative = 0.05  # one sigma of it, relative

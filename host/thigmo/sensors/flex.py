@@ -21,7 +21,7 @@ class FlexSensor(AnySensor):
     zero_se: NonNegative = 3.6e-4  # 1/cm, what zeroing and averaging leave: its loop, slow drift
     bend_sign: Literal[-1, 0, 1] = 0  # of the bends that it answers to: 1 left, -1 right, 0 both
     # Response to bends against `bend_sign` over that to bends along it, and one sigma: a data
-    # sheet states one direction only. A bench that bends both ways measures it.
+    # sheet states bends to one side only. A bench that bends both ways measures it.
     against_gain: NonNegative = 0.7
     against_gain_se: NonNegative = 0.3  # one sigma of it
     noise: Positive = 4.8e-4  # 1/cm, white, of an averaged reading; 6e-4 with `zero_se`

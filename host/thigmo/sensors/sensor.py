@@ -130,6 +130,4 @@ class AnySensor(Placed):
 
     def uncalibrated(self) -> Self:
         """A copy as before its calibration: at its place, with the kind's default constants."""
-        return type(self)(
-            **self.model_dump(include={"direction_deg", "kind", "center_cm", "span_cm"})
-        )
+        return type(self)(**self.model_dump(include={"angle_deg", "kind", "center_cm", "span_cm"}))

@@ -340,7 +340,7 @@ def visit(room: Room) -> Run:
     if kind.round_tip:
         scene.body.tip_rounding_cm = scene.robot.body.radius_cm
     if kind.drawn:
-        scene.flex.wrong_direction_gain = float(rng.uniform(*_AGAINST))
+        scene.flex.against_gain = float(rng.uniform(*_AGAINST))
         scene.noise.hysteresis *= float(rng.uniform(*_LOOPS))
         scene.noise.hysteresis_width *= float(rng.uniform(*_LOOPS))
         scene.muscle.inflate_tau_s *= float(rng.uniform(*_SLOWER))

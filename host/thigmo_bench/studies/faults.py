@@ -210,7 +210,7 @@ def _scene(fit: Fit = "bare", robot: Built = "two muscles") -> Scene:
     first, *_ = scene.robot.muscles
     if len(BUILT[robot]) != len(scene.robot.muscles):
         scene.robot.muscles = [
-            first.model_copy(deep=True, update={"name": f"{lies:g} deg", "direction_deg": lies})
+            first.model_copy(deep=True, update={"name": f"{lies:g} deg", "angle_deg": lies})
             for lies in BUILT[robot]
         ]
     return scene

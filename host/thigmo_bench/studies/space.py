@@ -23,8 +23,8 @@ from thigmo_bench.studies.scenes import STATED
 
 GRATINGS, SPAN, SIGMA = 12, 0.04, 0.015  # of a body of length one
 POSITION: Floats = np.repeat(np.linspace(0.05, 0.95, GRATINGS), 2)
-DIRECTION: Floats = np.tile([0.0, np.pi / 2], GRATINGS)
-AXIS: Floats = np.column_stack([0.0 * DIRECTION, -np.sin(DIRECTION), np.cos(DIRECTION)])
+ANGLE: Floats = np.tile([0.0, np.pi / 2], GRATINGS)
+AXIS: Floats = np.column_stack([0.0 * ANGLE, -np.sin(ANGLE), np.cos(ANGLE)])
 TWIST = 1.3  # EI / GJ of a round rod
 NEAREST, TURNS, MOST_MOMENT = 0.15, (0.2, 1.6), 6.0
 END = 0.98  # from here on a place is the end's
@@ -33,7 +33,7 @@ BATCH = 50
 GROUPS = ("one", "weight", "two", "end", "twisted end")
 ENDS = GROUPS[3:]
 READ: dict[str, Any] = {
-    "position": POSITION, "direction": DIRECTION, "length": 1.0, "span": SPAN, "noise": SIGMA,
+    "position": POSITION, "angle": ANGLE, "length": 1.0, "span": SPAN, "noise": SIGMA,
     "twist": TWIST, **STATED,
 }  # fmt: skip
 TURNED = 1.234  # rad
@@ -107,7 +107,7 @@ def answers(task: tuple[str, tuple[int, ...], int]) -> list[Answered]:
         heavy = {"weight": rods.weight[k]} if group == "weight" else {}
         result = Localizer.of(**READ, **heavy, stiffness=(1.0, 0.0)).localize(curvature)
         heavy = {name: rotation @ value for name, value in heavy.items()}
-        turned = READ | {"direction": DIRECTION + TURNED}
+        turned = READ | {"angle": ANGLE + TURNED}
         again = Localizer.of(**turned, **heavy).localize(curvature)
         true = rods.breaks[k, 1:-1]
         placed = [c for c in result.contacts if c.status == "localized"]

@@ -32,7 +32,7 @@ def test_a_muscle_that_no_sensor_reads_is_named_and_keeps_its_default(
     thigmo: Thigmo, tmp_path: Path
 ) -> None:
     robot = draft(53, 5, 2)
-    robot.muscles.append(Muscle(name="up", direction_deg=0.0))
+    robot.muscles.append(Muscle(name="up", angle_deg=0.0))
     ran = calibrate(thigmo, tmp_path, robot)
     assert ran.code == 0, ran.out + ran.err
     assert "muscle up is not calibrated: no healthy sensor reads a bend towards 0" in ran.out
@@ -54,7 +54,7 @@ def test_a_robot_of_which_nothing_can_be_measured_is_refused_in_one_line(
     thigmo: Thigmo, tmp_path: Path
 ) -> None:
     robot = draft(53, 5, 1)
-    robot.muscles[0].direction_deg = 0.0
+    robot.muscles[0].angle_deg = 0.0
     ran = calibrate(thigmo, tmp_path, robot)
     assert ran.code == 1
     (line,) = ran.err.splitlines()
@@ -64,12 +64,12 @@ def test_a_robot_of_which_nothing_can_be_measured_is_refused_in_one_line(
 def test_sensors_opposite_map_a_muscle_and_time_its_lag(thigmo: Thigmo, tmp_path: Path) -> None:
     robot = draft(53, 4, 1)
     lower = robot.muscles[0].model_copy(deep=True)
-    lower.name, lower.direction_deg = "lower", 210.0
+    lower.name, lower.angle_deg = "lower", 210.0
     robot.muscles.append(lower)
     scale = robot.sensors[0].scale_per_ohm
     robot.sensors += [
         FlexSensor(
-            direction_deg=30.0, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
+            angle_deg=30.0, center_cm=sensor.center_cm, span_cm=sensor.span_cm,
             scale_per_ohm=-scale, bend_sign=-1,
         )
         for sensor in robot.sensors

@@ -217,9 +217,9 @@ def test_bends_of_a_lab_are_read_from_its_csv(tmp_path):
 def lifted(lies: float = 180.0) -> RobotConfig:
     """Left, right, and one muscle out of the plane, with four sensors at a direction of theirs."""
     config = RobotConfig()
-    config.muscles.append(Muscle(name="up", direction_deg=0.0))
+    config.muscles.append(Muscle(name="up", angle_deg=0.0))
     config.sensors += [
-        FlexSensor(direction_deg=lies, center_cm=center) for center in (5.0, 15.0, 25.0, 35.0)
+        FlexSensor(angle_deg=lies, center_cm=center) for center in (5.0, 15.0, 25.0, 35.0)
     ]
     return config
 
@@ -283,8 +283,7 @@ def test_sensors_that_wrinkle_or_lie_across_are_no_witnesses(lies):
     config = lifted(lies)
     assert Wiring.laid_out(config).sensors_reading(config.muscles[2]) == []
     left = [
-        read.sensor.direction_deg
-        for read in Wiring.laid_out(config).sensors_reading(config.muscles[0])
+        read.sensor.angle_deg for read in Wiring.laid_out(config).sensors_reading(config.muscles[0])
     ]
     assert left.count(270.0) == 5
     assert set(left) <= {270.0, 300.0}

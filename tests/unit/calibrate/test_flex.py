@@ -65,7 +65,7 @@ def test_spans_of_imus_beside_flex_sensors_are_not_judged_as_these():
     for number in (3, 4):
         old = lab.config.sensors[number]
         lab.config.sensors[number] = HeadingSensor(
-            kind="heading", direction_deg=old.direction_deg, center_cm=old.center_cm,
+            kind="heading", angle_deg=old.angle_deg, center_cm=old.center_cm,
             span_cm=10.0, i2c_address=74 + number,
         )  # fmt: skip
     readings = lab.flex()

@@ -288,7 +288,7 @@ def test_pressure_zero_and_its_faults():
 def test_pressure_zeros_are_those_of_the_muscles_in_the_files_order(tmp_path, names):
     true = {name: 98.0 + 2.0 * n for n, name in enumerate(sorted(names))}
     config = RobotConfig(
-        muscles=[Muscle(name=name, direction_deg=80.0 * n) for n, name in enumerate(names)]
+        muscles=[Muscle(name=name, angle_deg=80.0 * n) for n, name in enumerate(names)]
     )
     file = tmp_path / "vented.csv"
     rows = [",".join(f"{name}_count" for name in true), *[",".join(map(str, true.values()))] * 12]

@@ -18,10 +18,10 @@ from thigmo.mechanics.closed_forms import phi
 from thigmo_bench.studies import rod
 from thigmo_bench.studies.rod_in_space import solve
 from thigmo_bench.studies.scenes import STATED
-from thigmo_bench.studies.space import AXIS, DIRECTION, POSITION, SIGMA, SPAN, TWIST
+from thigmo_bench.studies.space import ANGLE, AXIS, POSITION, SIGMA, SPAN, TWIST
 
 READ = {
-    "position": POSITION, "direction": DIRECTION, "length": 1.0, "span": SPAN, "noise": SIGMA,
+    "position": POSITION, "angle": ANGLE, "length": 1.0, "span": SPAN, "noise": SIGMA,
     **STATED,
 }  # fmt: skip
 
@@ -82,7 +82,7 @@ def test_turned_about_its_axis_with_everything_places_stay():
     c, s = np.cos(1.0), np.sin(1.0)
     about = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     turned = thigmo.localize(
-        curvature, **(READ | {"direction": DIRECTION + 1.0}), twist=TWIST,
+        curvature, **(READ | {"angle": ANGLE + 1.0}), twist=TWIST,
         weight=about @ rods.weight[0],
     )  # fmt: skip
     assert abs(turned.contacts[0].arc - single.contacts[0].arc) < 1e-6
@@ -95,7 +95,7 @@ def test_turned_about_its_axis_two_contacts_stay():
     sizes = np.array([[0.0, 12.0, 12.0], [0.0, 6.0, 6.0]])
     forces = sizes * np.random.default_rng(5).uniform(-1.0, 1.0, (80, 2, 3))
     curvature = noisy(solve(arcs, forces).readings(POSITION, AXIS, SPAN), 5)
-    turned = READ | {"direction": DIRECTION + 1.234}
+    turned = READ | {"angle": ANGLE + 1.234}
     pairs = 0
     for frame in curvature:
         contacts, turned_contacts = (
@@ -111,7 +111,7 @@ def test_turned_about_its_axis_two_contacts_stay():
 def test_on_a_body_bent_by_150_degrees_exact_readings_give_the_place():
     for arc, force in ((0.5, 3.0), (0.9, -2.0)):
         rods = pressed(arc, force, force, free=np.array([[0.0, 0.4, 2.6]]))
-        free = np.where(DIRECTION == 0.0, 2.6, -0.4)
+        free = np.where(ANGLE == 0.0, 2.6, -0.4)
         (contact,) = thigmo.localize(
             rods.readings(POSITION, AXIS, SPAN)[0], **(READ | {"noise": 1e-4}), contacts=1,
             free_curvature=free,
@@ -146,8 +146,8 @@ def test_sensors_that_measure_twist_show_what_twists_the_end():
     axis = np.concatenate([AXIS, np.tile([1.0, 0.0, 0.0], (12, 1))])
     x = np.r_[POSITION, POSITION[::2]]
     result = thigmo.localize(
-        noisy(rods.readings(x, axis, SPAN)[0], 8), **(READ | {"position": x, "direction": axis}),
-        twist=TWIST,
+        noisy(rods.readings(x, axis, SPAN)[0], 8),
+        **(READ | {"position": x, "axis": axis, "angle": None}), twist=TWIST,
     )  # fmt: skip
     assert result.hypothesis == "end wrench"
     assert result.status == "localized"
@@ -239,7 +239,7 @@ def test_explanations_are_weighed_as_dense_normal_densities(
     excess = clean + 0.3 * noisy(0.0 * clean, 9)
     if bad is not None:
         excess[bad] += 0.1
-    rest = free * (DIRECTION == 0.0)
+    rest = free * (ANGLE == 0.0)
     localizer = Localizer.of(**(READ | {"held_end": False} | options))._compiled
     weighed = localizer.localize(excess + rest, rest, rest).weighed
     bad_row = -1 if bad is None else bad
@@ -269,13 +269,15 @@ def test_readings_of_zero_without_a_noise_have_a_finite_answer(weight):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"direction": 90.0 * DIRECTION}, "rad"),
-        ({"direction": DIRECTION[:-1]}, "direction has shape"),
-        ({"direction": 2.0 * AXIS}, "unit vector"),
+        ({"angle": 90.0 * ANGLE}, "rad"),
+        ({"angle": ANGLE[:-1]}, "angle has shape"),
+        ({"axis": 2.0 * AXIS, "angle": None}, "unit vector"),
+        ({"axis": AXIS}, "angle and axis are both given"),
+        ({"axis": AXIS[:-1], "angle": None}, "axis has shape"),
         ({"weight": (0.0, 1.0)}, "weight"),
         ({"critical_curvature": 1.0}, "no fold is weighed in space"),
-        ({"method": "thesis"}, "knows no direction"),
-        ({"direction": None, "twist": 1.0}, "twist"),
+        ({"method": "thesis"}, "knows no angles"),
+        ({"angle": None, "twist": 1.0}, "twist"),
     ],
 )
 def test_what_is_not_possible_in_space_is_refused(given, says):
