@@ -290,9 +290,9 @@ def answer(method: str, row: dict[str, str], columns: list[Floats]) -> list[list
                 "contacts": contacts, "method": method, "held_end": False,
                 "critical_curvature": float("inf"),
                 "tube_radius": float(row["tube_radius_cm"]),
-                "sensor_gain_error": float(row["gain_error"]),
-                "shared_offset_error": float(row["offset_error_per_cm"]),
-                "shared_map_error": float(row["map_error"]),
+                "gain_error": float(row["gain_error"]),
+                "offset_error": float(row["offset_error_per_cm"]),
+                "map_error": float(row["map_error"]),
                 **SETTLED,
             }  # fmt: skip
             localizer = Localizer.of(**(options | around))

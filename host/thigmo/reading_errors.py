@@ -26,7 +26,7 @@ Floats = npt.NDArray[np.float64]
 SETTLED: dict[str, Any] = {
     "largest_noise_factor": 2.4,
     "noise_correlation": 0.0,
-    "shared_fold_error": 0.0,
+    "base_fold_error": 0.0,
     "contact_couple_odds": 0.0,
 }
 
@@ -39,12 +39,10 @@ class ReadingErrors:
     """Standard errors of a stage's N readings; 1/cm, or relative where it says so."""
 
     noise: Floats  # (N,) white noise of an averaged reading: new in every frame
-    # (N,) of each sensor's zero: the same in all frames between two zeroings
-    sensor_zero_error: Floats
-    sensor_gain_error: Floats  # (N,) relative, of each sensor's scale: the same in all frames
-    shared_offset_error: float  # of an offset that the readings share
-    # relative, of the map's free curvature; 0 where no muscle bends the body
-    shared_map_error: float
+    zero_error: Floats  # (N,) of each sensor's zero: the same in all frames between two zeroings
+    gain_error: Floats  # (N,) relative, of each sensor's scale: the same in all frames
+    offset_error: float  # of an offset that the readings share
+    map_error: float  # relative, of the map's free curvature; 0 where no muscle bends the body
     critical_curvature: float  # contact moment over EI at which the base folds, at this pressure
     critical_curvature_error: float  # relative
     tube_radius: float  # cm
@@ -110,10 +108,10 @@ def errors_of(
     shared = shared_errors(sensors)
     return ReadingErrors(
         noise=np.array([sensor.noise for sensor in sensors]),
-        sensor_zero_error=np.array([sensor.zero_error for sensor in sensors]),
-        sensor_gain_error=np.array([sensor.gain_error for sensor in sensors]),
-        shared_offset_error=0.0 if muscle is None else muscle.offset_se,
-        shared_map_error=0.0 if muscle is None else muscle.maps[body_pressure].scale_se,
+        zero_error=np.array([sensor.zero_error for sensor in sensors]),
+        gain_error=np.array([sensor.gain_error for sensor in sensors]),
+        offset_error=0.0 if muscle is None else muscle.offset_se,
+        map_error=0.0 if muscle is None else muscle.maps[body_pressure].scale_se,
         critical_curvature=critical,
         critical_curvature_error=critical_error,
         tube_radius=body.radius_cm,

@@ -16,7 +16,7 @@ from thigmo_bench.studies.scenes import STATED
 
 LENGTH, SPAN, NOISE = 53.0, 5.5, 6e-4
 POSITION = np.tile(np.arange(5.0, 50.0, 10.0), 2)
-ERRORS = {"sensor_gain_error": 0.05, "shared_offset_error": 3e-4, "shared_map_error": 0.04}
+ERRORS = {"gain_error": 0.05, "offset_error": 3e-4, "map_error": 0.04}
 
 
 def weighed(curvature, free, **options):
@@ -36,9 +36,9 @@ def weighed(curvature, free, **options):
 def covariance(curvature, free, factor):
     y, g = curvature * LENGTH, np.full(len(curvature), free * LENGTH)
     floor = priors.TRUST * max(np.abs(y - g).max(), np.abs(g).max())
-    variance = (factor * NOISE * LENGTH) ** 2 + (ERRORS["sensor_gain_error"] * y) ** 2 + floor**2
-    common = (ERRORS["shared_offset_error"] * LENGTH) ** 2
-    return np.diag(variance) + common + ERRORS["shared_map_error"] ** 2 * np.outer(g, g), y - g
+    variance = (factor * NOISE * LENGTH) ** 2 + (ERRORS["gain_error"] * y) ** 2 + floor**2
+    common = (ERRORS["offset_error"] * LENGTH) ** 2
+    return np.diag(variance) + common + ERRORS["map_error"] ** 2 * np.outer(g, g), y - g
 
 
 @pytest.mark.parametrize("free", [0.0, 0.004])
@@ -259,7 +259,7 @@ def test_mistakes_are_weighed_as_dense_normal_densities(correlation, monkeypatch
     free = 0.0015
     curvature = free + 4e-5 * phi(40.0, POSITION, SPAN)
     curvature += NOISE * np.random.default_rng(5).standard_normal(10)
-    unstated = dict.fromkeys(("shared_map_error", "shared_offset_error", "shared_fold_error"))
+    unstated = dict.fromkeys(("map_error", "offset_error", "base_fold_error"))
     log_odds = weighed(
         curvature, free, **unstated, largest_noise_factor=1.0, noise_correlation=correlation
     )
@@ -320,7 +320,7 @@ def test_a_batch_is_localize_row_by_row(jobs):
         g + rng.uniform(-3e-4, 3e-4) * phi(rng.uniform(5.0, 53.0), POSITION, SPAN) for g in free
     ]) + NOISE * rng.standard_normal((40, 10))  # fmt: skip
     rows[::7, 2] = np.nan
-    options = {"span": SPAN, "noise": NOISE, "tube_radius": 1.75, "shared_map_error": 0.02}
+    options = {"span": SPAN, "noise": NOISE, "tube_radius": 1.75, "map_error": 0.02}
     batch = localize_batch(
         rows, POSITION, length=LENGTH, free_curvature=free[:, None], jobs=jobs, **options
     )

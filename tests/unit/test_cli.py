@@ -67,9 +67,9 @@ def test_every_error_can_be_told_by_a_flag_and_widens_the_answer(
 
     sharp = width()
     for flags in (
-        ("--sensor-gain-error", 0.1),
-        ("--shared-offset-error", 2e-3),
-        ("--shared-map-error", 0.1),
+        ("--gain-error", 0.1),
+        ("--offset-error", 2e-3),
+        ("--map-error", 0.1),
         ("--noise", 2e-3),
     ):
         assert width(*flags) > 1.1 * sharp, flags
@@ -91,8 +91,8 @@ def test_a_robot_toml_tells_the_errors_of_the_sensors_in_the_file(
     known = json.loads(thigmo(*stated, "--config", tmp_path / "robot.toml", "--side", "left").out)
     spelt = thigmo_localize(
         [0.021, 0.0223, 0.0244, 0.0268, 0.0285], [5.0, 15.0, 25.0, 35.0, 45.0], length=53.0,
-        span=5.5, free_curvature=0.03, noise=6e-4, sensor_gain_error=0.03, shared_offset_error=2e-4,
-        shared_map_error=0.01, critical_curvature=0.01108, tube_radius=1.75, shared_fold_error=0.0,
+        span=5.5, free_curvature=0.03, noise=6e-4, gain_error=0.03, offset_error=2e-4,
+        map_error=0.01, critical_curvature=0.01108, tube_radius=1.75, base_fold_error=0.0,
         noise_correlation=0.0, largest_noise_factor=2.4, contact_couple_odds=0.0,
     ).to_dict()  # fmt: skip
     assert known["status"] != "no contact"
@@ -165,12 +165,9 @@ def test_a_bad_csv_is_one_line_and_status_1(
         (["localize", "r.csv", "--length", "53", "--contacts", "many"], "--contacts is 'many'"),
         (["localize", "r.csv", "--length", "53", "--span", "-2"], "span"),
         (["localize", "r.csv", "--length", "53", "--noise", "-1"], "noise"),
-        (["localize", "r.csv", "--length", "53", "--sensor-gain-error", "-1"], "sensor_gain_error"),
-        (
-            ["localize", "r.csv", "--length", "53", "--shared-offset-error", "nan"],
-            "shared_offset_error",
-        ),
-        (["localize", "r.csv", "--length", "53", "--shared-map-error", "-1"], "shared_map_error"),
+        (["localize", "r.csv", "--length", "53", "--gain-error", "-1"], "gain_error"),
+        (["localize", "r.csv", "--length", "53", "--offset-error", "nan"], "offset_error"),
+        (["localize", "r.csv", "--length", "53", "--map-error", "-1"], "map_error"),
         (["localize", "r.csv", "--length", "53", "--tube-radius", "-1"], "tube_radius"),
         (["localize", "r.csv", "--length", "53", "--config", "none.toml"], "none.toml"),
         (["explore", "--robot", "/dev/no-such-port"], "/dev/no-such-port"),

@@ -31,9 +31,7 @@ def test_gratings_share_the_temperature_and_lose_by_twist() -> None:
     assert errors.shared_errors is not None
     assert errors.shared_errors == pytest.approx(np.full((10, 1), IN_PLANE[0].temperature_se))
     twisted = IN_PLANE[0].model_copy(update={"twist_se_rad": 0.6, "scale_se": 0.0})
-    assert errors_of(CONFIG, "left", 0, [twisted]).sensor_gain_error == pytest.approx(
-        1 - np.cos(0.6)
-    )
+    assert errors_of(CONFIG, "left", 0, [twisted]).gain_error == pytest.approx(1 - np.cos(0.6))
 
 
 def test_a_fibre_takes_no_input_of_the_board_and_alone_is_not_explored(tmp_path: Path) -> None:

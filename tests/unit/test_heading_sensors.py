@@ -41,7 +41,7 @@ def test_what_neighbours_share_is_what_from_headings_says() -> None:
     errors = reading_errors(CONFIG, "left", 0, [(side, n) for n in range(len(STRING))])
     assert errors.shared_errors is not None
     assert errors.shared_errors @ errors.shared_errors.T == pytest.approx(shared)
-    assert not errors.sensor_zero_error.any()
+    assert not errors.zero_error.any()
     flex = reading_errors(RobotConfig(), "left", 0, [("right", 0)])
     assert flex.shared_errors is None
 

@@ -23,10 +23,10 @@ def test_each_error_is_that_of_its_sensor_side_and_body_pressure() -> None:
     errors = reading_errors(config, "left", 1, SENSORS)
     arguments = errors.arguments()
     assert arguments["noise"] == pytest.approx([4.8e-4, 3e-4])
-    assert arguments["sensor_zero_error"][1] == 4e-4
-    assert arguments["sensor_gain_error"] == pytest.approx([0.15, 0.07])
-    assert arguments["shared_offset_error"] == 7e-4
-    assert arguments["shared_map_error"] == 0.03
+    assert arguments["zero_error"][1] == 4e-4
+    assert arguments["gain_error"] == pytest.approx([0.15, 0.07])
+    assert arguments["offset_error"] == 7e-4
+    assert arguments["map_error"] == 0.03
     assert arguments["critical_curvature"] == pytest.approx(critical_moment(0.01108, 0.49, 1.01))
     assert 0.05 < arguments["critical_curvature_error"] < 0.1
     assert arguments["tube_radius"] == 1.75
@@ -37,16 +37,13 @@ def test_each_error_is_that_of_its_sensor_side_and_body_pressure() -> None:
 
 def test_a_straight_body_has_no_error_of_a_map() -> None:
     errors = reading_errors(RobotConfig(), None, 2, SENSORS)
-    assert (errors.shared_map_error, errors.shared_offset_error) == (0.0, 0.0)
+    assert (errors.map_error, errors.offset_error) == (0.0, 0.0)
 
 
 def test_an_uncalibrated_robot_is_uncertain_in_everything() -> None:
     errors = reading_errors(RobotConfig(), "right", 0, [("left", 0)])
-    assert min(errors.noise[0], errors.sensor_zero_error[0], errors.shared_offset_error) > 0
-    assert (
-        min(errors.sensor_gain_error[0], errors.shared_map_error, errors.critical_curvature_error)
-        >= 0.1
-    )
+    assert min(errors.noise[0], errors.zero_error[0], errors.offset_error) > 0
+    assert min(errors.gain_error[0], errors.map_error, errors.critical_curvature_error) >= 0.1
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def design(
         length=length,
         noise=noise,
         span=span,
-        shared_offset_error=offset,
+        offset_error=offset,
         separations=[gap / 2 for gap in range(10, int(1.7 * length))],
     )
     contact_rows = [

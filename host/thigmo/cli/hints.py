@@ -58,7 +58,7 @@ def hints(
             "unit (or is a sensor there bad, or does something hold the end?)"
         )
     # Mistakes in the readings, if they are weighed, explain such positions as well.
-    plain = SETTLED | {"shared_offset_error": 0.0, "shared_map_error": 0.0}
+    plain = SETTLED | {"offset_error": 0.0, "map_error": 0.0}
     plain |= {name: value for name, value in options.items() if value is not None}
     straight = localize(curvature, position, **plain)
     turned = localize(curvature, result.length - position, **plain)

@@ -45,17 +45,17 @@ def localize(
     noise: Annotated[
         float | None, typer.Option(help="Standard deviation of a reading; estimated if omitted.")
     ] = None,
-    sensor_gain_error: Annotated[
+    gain_error: Annotated[
         float | None, typer.Option(help="Relative standard deviation of each sensor's gain.")
     ] = None,
-    shared_offset_error: Annotated[
+    offset_error: Annotated[
         float | None, typer.Option(help="Standard deviation of an offset that all readings share.")
     ] = None,
-    shared_map_error: Annotated[
+    map_error: Annotated[
         float | None,
         typer.Option(help="Relative standard deviation of the free curvature's scale."),
     ] = None,
-    shared_fold_error: Annotated[
+    base_fold_error: Annotated[
         float | None,
         typer.Option(help="Standard deviation of the angle of a small fold at the base, rad."),
     ] = None,
@@ -161,10 +161,10 @@ def localize(
             stated["body_curvature"] = rest + (free_curvature or 0.0)
     flags = {
         "noise": noise,
-        "sensor_gain_error": sensor_gain_error,
-        "shared_offset_error": shared_offset_error,
-        "shared_map_error": shared_map_error,
-        "shared_fold_error": shared_fold_error,
+        "gain_error": gain_error,
+        "offset_error": offset_error,
+        "map_error": map_error,
+        "base_fold_error": base_fold_error,
         "noise_correlation": noise_correlation,
         "critical_curvature": critical_curvature,
         "tube_radius": tube_radius,
@@ -177,7 +177,7 @@ def localize(
     }
     stated |= {name: value for name, value in flags.items() if value is not None}
     if noise is not None:
-        stated["sensor_zero_error"] = 0.0  # --noise is all of a reading's error
+        stated["zero_error"] = 0.0  # --noise is all of a reading's error
     stated |= {
         "span": span if table.span is None else table.span,
         "free_curvature": free_curvature,

@@ -62,7 +62,7 @@ def arc_bounds(
     span: npt.ArrayLike,
     noise: npt.ArrayLike,
     length: float,
-    shared_offset_error: float = 0.0,
+    offset_error: float = 0.0,
 ) -> Array:
     """Cramer-Rao bounds of the arcs of contacts, if their forces are unknown as well.
 
@@ -71,7 +71,7 @@ def arc_bounds(
         position: (N,) sensor centres.
         span, noise: scalar or (N,), as in `localize`.
         length: length of the body.
-        shared_offset_error: standard deviation of an error that all readings share.
+        offset_error: standard deviation of an error that all readings share.
 
     Returns:
         (k,) standard deviations of the arcs; infinite where the readings fix no place.
@@ -83,8 +83,8 @@ def arc_bounds(
     slope = (phi(place + step, x, width) - phi(place - step, x, width)) / (2.0 * step)
     rows = np.concatenate([phi(place, x, width), force * slope]) / sigma
     information = rows @ rows.T
-    if shared_offset_error > 0.0:
-        shared = shared_offset_error / sigma
+    if offset_error > 0.0:
+        shared = offset_error / sigma
         projection = rows @ shared
         information -= np.outer(projection, projection) / (1.0 + shared @ shared)
     scale = np.sqrt(np.diag(information))
@@ -107,7 +107,7 @@ def identifiability(
     length: float,
     noise: npt.ArrayLike,
     span: npt.ArrayLike = 0.0,
-    shared_offset_error: float = 0.0,
+    offset_error: float = 0.0,
     separations: npt.ArrayLike | None = None,
 ) -> Identifiability:
     """Bounds of one contact and of two for a proposed layout.
@@ -117,7 +117,7 @@ def identifiability(
         length: length of the body.
         noise: standard deviation of a reading, scalar or (N,).
         span: length of each sensor, scalar or (N,).
-        shared_offset_error: standard deviation of an error that all readings share.
+        offset_error: standard deviation of an error that all readings share.
         separations: (S,) distances between two contacts; by default twelve, evenly spaced.
 
     Raises:
@@ -130,7 +130,7 @@ def identifiability(
     check_layout(x, width, total)
     if not (sigma > 0.0).all():
         raise DataError("noise is not above zero", "give the standard deviation of a reading")
-    shared = positive(shared_offset_error, "shared_offset_error")
+    shared = positive(offset_error, "offset_error")
     if separations is None:
         gaps = np.linspace(1.0, 12.0, 12) / 13.0 * total
     else:

@@ -30,7 +30,7 @@ READ_S = 0.5
 STEADY_S = 3.0  # from a change of pressure or length to a bend at rest
 _SAME_SHARE = 1e-6
 # A fold is weighed in the plane only (`localization.Body`).
-_OF_THE_PLANE = ("critical_curvature", "critical_curvature_error", "shared_fold_error")
+_OF_THE_PLANE = ("critical_curvature", "critical_curvature_error", "base_fold_error")
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,8 +195,8 @@ def _localized(
     errors: dict[str, Any] = errors_of(config, side, body_pressure, sensors).arguments()
     if muscle is not None:
         errors |= {
-            "shared_offset_error": muscle.offset_se,
-            "shared_map_error": muscle.maps[body_pressure].scale_se,
+            "offset_error": muscle.offset_se,
+            "map_error": muscle.maps[body_pressure].scale_se,
         }
     shape = _shape(config, sensors, free)
     whole = np.arange(len(sensors))

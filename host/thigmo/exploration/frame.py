@@ -33,7 +33,7 @@ def localize_frame(peak: Peak, wiring: Wiring, body_pressure: int, method: str) 
     stated = errors_of(config, peak.side, body_pressure, sensors)
     averaged = {
         "noise": np.hypot(table.white, peak.added_noise)[use],  # zeros included
-        "sensor_zero_error": 0.0,
+        "zero_error": 0.0,
         "shared_errors": table.shared[use],
     }
     return localize(

@@ -27,7 +27,7 @@ _REMARKS = {
     "give the readings as they are, or a free curvature of 0",
     "free curvature far off": "the free curvature may be far off: check it",
     "free curvature not given": "the body may bend without contact: give free_curvature",
-    "small fold at the base": "the base may be folded a little: give shared_fold_error",
+    "small fold at the base": "the base may be folded a little: give base_fold_error",
     "neighbours correlated": "neighbouring readings are correlated: give noise_correlation",
     "noise larger than stated": "the noise is larger than stated: check it",
 }

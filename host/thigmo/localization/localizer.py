@@ -71,7 +71,7 @@ class Localizer:
     Example:
         >>> body = thigmo.Body(length=53.0, critical_curvature=0.011)
         >>> sensors = thigmo.Sensors(position=[5, 15, 25, 35, 45], span=5.5)
-        >>> errors = thigmo.Errors(noise=6e-4, shared_map_error=0.03, shared_offset_error=2e-4)
+        >>> errors = thigmo.Errors(noise=6e-4, map_error=0.03, offset_error=2e-4)
         >>> localizer = thigmo.Localizer(body, sensors, errors)
         >>> round(localizer.localize([0.0059, 0.0042, 0.0021, 0.0006, 0.0]).contacts[0].arc, 1)
         38.3
@@ -131,8 +131,8 @@ class Localizer:
         Args:
             curvature: (N,) readings, average curvature over each sensor; NaN if one is missing.
             free_curvature: scalar or (N,) reading of each sensor without contact; 0 for a body that
-                nothing actuates. None, not given, differs from 0: unless `shared_map_error` is
-                stated, a body is weighed that bends without contact, too.
+                nothing actuates. None, not given, differs from 0: unless `map_error` is stated, a
+                body is weighed that bends without contact, too.
             body_curvature: scalar or (N,) curvature of the free body at the sensors, if it differs
                 from `free_curvature`.
 
@@ -247,17 +247,15 @@ class Localizer:
         white = white_noise(errors.noise, count)
         widths = vector(self.sensors.span, "span", count)
         sensor_errors = {
-            "sensor_zero_error": vector(errors.sensor_zero_error, "sensor_zero_error", count),
-            "sensor_gain_error": vector(
-                0.0 if errors.sensor_gain_error is None else errors.sensor_gain_error,
-                "sensor_gain_error",
-                count,
+            "zero_error": vector(errors.zero_error, "zero_error", count),
+            "gain_error": vector(
+                0.0 if errors.gain_error is None else errors.gain_error, "gain_error", count
             ),
         }
         odds = vector(known.bad_reading_odds, "bad_reading_odds", count)
         check_layout(x, widths, total, noise=white, bad_reading_odds=odds, **sensor_errors)
         if white.size:
-            white = np.hypot(white, sensor_errors["sensor_zero_error"])
+            white = np.hypot(white, sensor_errors["zero_error"])
         check_method(self.method)
         least = 0 if self.method == "posterior" else 1
         contacts = contact_count(known.contacts, self.method, least, _MOST_CONTACTS)
@@ -284,12 +282,12 @@ class Localizer:
             position=x,
             span=widths,
             noise=white,
-            gain=sensor_errors["sensor_gain_error"],
+            gain=sensor_errors["gain_error"],
             bad_odds=odds,
             shared=columns(errors.shared_errors, count),
-            offset=stated(errors.shared_offset_error, "shared_offset_error"),
-            map_scale=stated(errors.shared_map_error, "shared_map_error"),
-            base_fold=stated(errors.shared_fold_error, "shared_fold_error"),
+            offset=stated(errors.offset_error, "offset_error"),
+            map_scale=stated(errors.map_error, "map_error"),
+            base_fold=stated(errors.base_fold_error, "base_fold_error"),
             correlation=correlation(errors.noise_correlation),
             largest_noise=math.inf
             if errors.largest_noise_factor is None

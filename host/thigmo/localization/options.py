@@ -96,16 +96,16 @@ class Errors:
             stated, 1 if the noise is certain.
         noise_correlation: correlation of neighbouring sensors' noise, from 0 to less than 1. If it
             is not stated, 0.5 and 0.9 are weighed for 40 sensors or more. Not in space.
-        sensor_zero_error: error of each sensor's zero, scalar or (N,), 1/length. In a single frame
-            it acts as noise; a noise of None includes it.
-        sensor_gain_error: relative error of each sensor's gain, independent of the others', scalar
-            or (N,). An error that all gains share looks like one of the map: not stated, it is 0.
-        shared_offset_error: error of an offset that all readings share, 1/length. If it is not
-            stated, an offset of twice the noise is weighed.
-        shared_map_error: relative error of the free curvature, shared by all readings. If it is not
+        zero_error: error of each sensor's zero, scalar or (N,), 1/length. In a single frame it acts
+            as noise; a noise of None includes it.
+        gain_error: relative error of each sensor's gain, independent of the others', scalar or
+            (N,). An error that all gains share looks like one of the map: not stated, it is 0.
+        offset_error: error of an offset that all readings share, 1/length. If it is not stated, an
+            offset of twice the noise is weighed.
+        map_error: relative error of the free curvature, shared by all readings. If it is not
             stated, a free curvature is weighed that is 8 % off, has the wrong sign, was subtracted
             already, is far off, or was not given.
-        shared_fold_error: angle (rad) of a small fold at the base, shared by all readings. If it is
+        base_fold_error: angle (rad) of a small fold at the base, shared by all readings. If it is
             not stated, one of 0.1 is weighed. Not in space.
         shared_errors: (N, K) effects on the readings of K further shared errors, at one standard
             deviation each, 1/length.
@@ -114,15 +114,15 @@ class Errors:
     noise: npt.ArrayLike | None = None
     largest_noise_factor: float | None = None
     noise_correlation: float | None = None
-    sensor_zero_error: npt.ArrayLike = 0.0
-    sensor_gain_error: npt.ArrayLike | None = None
-    shared_offset_error: float | None = None
-    shared_map_error: float | None = None
-    shared_fold_error: float | None = None
+    zero_error: npt.ArrayLike = 0.0
+    gain_error: npt.ArrayLike | None = None
+    offset_error: float | None = None
+    map_error: float | None = None
+    base_fold_error: float | None = None
     shared_errors: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        _keep(self, "noise", "sensor_zero_error", "sensor_gain_error", "shared_errors")
+        _keep(self, "noise", "zero_error", "gain_error", "shared_errors")
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,7 +62,7 @@ def ours(trial: Trial) -> Answer:
         trial.curvature / trial.gain, trial.position, free_curvature=trial.free,
         noise=trial.sigma, contacts=len(trial.arcs_cm), held_end=False, length=trial.length_cm,
         span=trial.span, critical_curvature=trial.critical, tube_radius=trial.radius_cm,
-        **(STATED | {"shared_offset_error": trial.offset_error}),
+        **(STATED | {"offset_error": trial.offset_error}),
     )  # fmt: skip
     return Answer(
         tuple(contact.arc for contact in result.contacts),

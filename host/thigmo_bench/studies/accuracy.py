@@ -76,14 +76,14 @@ def _gains(size: float) -> Error:
         gains = 1.0 + size * rng.standard_normal(frame.curvature.size)
         return replace(frame, curvature=frame.curvature * gains)
 
-    return Error(lambda frame: {"sensor_gain_error": size}, clean)
+    return Error(lambda frame: {"gain_error": size}, clean)
 
 
 def _map(size: float) -> Error:
     def clean(rng: np.random.Generator, frame: Frame) -> Frame:
         return replace(frame, free=frame.free / (1.0 + size * rng.standard_normal()))
 
-    return Error(lambda frame: {"shared_map_error": size}, clean, groups=(*BENT, "free, bent"))
+    return Error(lambda frame: {"map_error": size}, clean, groups=(*BENT, "free, bent"))
 
 
 def _offset(rng: np.random.Generator, frame: Frame) -> Frame:
@@ -127,7 +127,7 @@ ERRORS: dict[str, Error] = {
     "none": Error(groups=tuple(GROUPS)[:6]),
     **{f"gains {percent} %": _gains(percent / 100) for percent in (3, 5, 10)},
     **{f"map {percent} %": _map(percent / 100) for percent in (5, 10)},
-    "offset": Error(lambda frame: {"shared_offset_error": OFFSET}, _offset),
+    "offset": Error(lambda frame: {"offset_error": OFFSET}, _offset),
     "friction": Error(_tell_friction, groups=("friction",)),
     "stiffness 20 %": Error(_tell_uneven, groups=("uneven",)),
     "one reading 2e-3 off": _bad(2e-3),

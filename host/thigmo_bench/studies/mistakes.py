@@ -217,11 +217,11 @@ TOUCHED_KINDS: dict[str, Kind] = {
     ),
     "not given": Kind(_BENT, spoil=partial(_free_times, None), corrected=True),
     "stated as 0": Kind((BENT[20],), spoil=partial(_free_times, 0.0), corrected=True, most=0.2),
-    "5 % off": Kind(_BENT, spoil=partial(_free_off, 0.05), stated={"shared_map_error": 0.05}),
-    "10 % off": Kind(_BENT, spoil=partial(_free_off, 0.1), stated={"shared_map_error": 0.1}),
+    "5 % off": Kind(_BENT, spoil=partial(_free_off, 0.05), stated={"map_error": 0.05}),
+    "10 % off": Kind(_BENT, spoil=partial(_free_off, 0.1), stated={"map_error": 0.1}),
     # A gain that all readings share changes the contact's part as its force would.
-    "gains 10 % off": Kind(_BENT[:3], spoil=partial(_gains, 0.1), stated={"shared_map_error": 0.1}),
-    "offset": Kind(_CLEAN, spoil=partial(_offset, OFFSET), stated={"shared_offset_error": OFFSET}),
+    "gains 10 % off": Kind(_BENT[:3], spoil=partial(_gains, 0.1), stated={"map_error": 0.1}),
+    "offset": Kind(_CLEAN, spoil=partial(_offset, OFFSET), stated={"offset_error": OFFSET}),
     "correlation 0.5": Kind(
         _MANY, correlation=0.5, stated={"noise_correlation": 0.5}, remark="correlated"
     ),
@@ -232,10 +232,7 @@ TOUCHED_KINDS: dict[str, Kind] = {
         (STRAIGHT[20], BENT[20], STRAIGHT[100]), couple, stated={"contact_couple_odds": 1.0}
     ),
     "fold of 5 degrees": Kind(
-        (STRAIGHT[10], STRAIGHT[20], BENT[20]),
-        folded,
-        stated={"shared_fold_error": FOLD},
-        most=0.16,
+        (STRAIGHT[10], STRAIGHT[20], BENT[20]), folded, stated={"base_fold_error": FOLD}, most=0.16
     ),
     "noise ten times too low": Kind(_CLEAN[:4], noise=0.1, remark="larger than stated"),
     "noise ten times too high": Kind(_CLEAN[:4], noise=10.0, remark="far below"),

@@ -26,11 +26,7 @@ FULL_CURVATURE = 0.04  # of the bent robot
 COLUMN: Floats = np.array([5.0, 15.0, 25.0, 35.0, 45.0])
 BOTH: Floats = np.tile(COLUMN, 2)
 # Readings without errors but noise: what a caller states who knows that.
-STATED: dict[str, Any] = SETTLED | {
-    "sensor_gain_error": 0.0,
-    "shared_offset_error": 0.0,
-    "shared_map_error": 0.0,
-}
+STATED: dict[str, Any] = SETTLED | {"gain_error": 0.0, "offset_error": 0.0, "map_error": 0.0}
 # What a caller of `localize` with a robot states of it; a scene folds only where it says so.
 ROBOT: dict[str, Any] = STATED | {
     "tube_radius": RADIUS, "held_end": False, "critical_curvature": float("inf"),

@@ -230,7 +230,7 @@ def test_units_of_length_do_not_matter(unit, noise):
 def test_a_common_offset_widens_the_interval_beyond_the_last_sensor():
     curvature = felt(50.0, 0.008 / 50.0) + 5e-4
     plain = find(curvature, contacts=1).contacts[0].interval
-    wary = find(curvature, contacts=1, shared_offset_error=5e-4).contacts[0].interval
+    wary = find(curvature, contacts=1, offset_error=5e-4).contacts[0].interval
     assert wary[1] - wary[0] > plain[1] - plain[0] + 1.0
     assert wary[0] <= 50.0 <= wary[1]
 

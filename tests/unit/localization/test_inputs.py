@@ -56,9 +56,9 @@ def test_any_finite_input_is_answered(data):
         "noise": noise,
         "contacts": contacts,
         "critical_curvature": critical,
-        "shared_offset_error": data.draw(st.sampled_from([0.0, 0.03])) / length,
-        "sensor_gain_error": data.draw(st.sampled_from([0.0, 0.1])),
-        "shared_map_error": data.draw(st.sampled_from([0.0, 0.1])),
+        "offset_error": data.draw(st.sampled_from([0.0, 0.03])) / length,
+        "gain_error": data.draw(st.sampled_from([0.0, 0.1])),
+        "map_error": data.draw(st.sampled_from([0.0, 0.1])),
         "held_end": data.draw(st.sampled_from([None, True, False])),
     }
     if n >= 3 and free == 0.0 and curvature[0] != 0.0 and len(set(curvature)) == 1:
@@ -125,11 +125,11 @@ GOOD = {
         {"contacts": 1.5},
         {"contacts": True},
         {"method": "guess"},
-        {"shared_offset_error": -1.0},
-        {"shared_map_error": math.nan},
-        {"sensor_gain_error": [-0.1, 0.0, 0.0]},
+        {"offset_error": -1.0},
+        {"map_error": math.nan},
+        {"gain_error": [-0.1, 0.0, 0.0]},
         {"bad_reading_odds": -1.0},
-        {"sensor_zero_error": math.nan},
+        {"zero_error": math.nan},
         {"shared_errors": [1.0, 2.0, 3.0]},
         {"shared_errors": [[math.nan]] * 3},
         {"method": "thesis", "contacts": 4},
@@ -189,5 +189,5 @@ def test_a_localizer_is_checked_once_and_stays_as_it_was():
 
 def test_an_error_of_the_zero_is_noise_of_a_frame():
     arguments = GOOD | {"curvature": [3e-3, 2e-3, 1e-3]}
-    stated = thigmo.localize(**arguments | {"sensor_zero_error": 8e-4})
+    stated = thigmo.localize(**arguments | {"zero_error": 8e-4})
     assert stated.log_odds == thigmo.localize(**arguments | {"noise": 1e-3}).log_odds

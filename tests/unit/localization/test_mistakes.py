@@ -63,9 +63,9 @@ def test_what_is_stated_is_not_doubted():
     usual = find(curvature, free_curvature=FREE)
     assert "slightly off" in usual.doubts
     for stated, gone in (
-        ({"shared_map_error": 0.0}, "free curvature far off"),
-        ({"shared_fold_error": 0.0}, "small fold at the base"),
-        ({"shared_map_error": 0.0, "shared_offset_error": 0.0}, "slightly off"),
+        ({"map_error": 0.0}, "free curvature far off"),
+        ({"base_fold_error": 0.0}, "small fold at the base"),
+        ({"map_error": 0.0, "offset_error": 0.0}, "slightly off"),
     ):
         assert gone in usual.doubts
         assert gone not in find(curvature, free_curvature=FREE, **stated).doubts
@@ -75,7 +75,7 @@ def test_zero_is_stated_and_none_is_not():
     curvature = TOUCH + noise(4)
     assert "free curvature not given" in find(curvature).doubts
     assert "free curvature not given" not in find(curvature, free_curvature=0.0).doubts
-    assert "free curvature not given" not in find(curvature, shared_map_error=0.0).doubts
+    assert "free curvature not given" not in find(curvature, map_error=0.0).doubts
 
 
 def test_a_noise_that_is_not_as_stated_is_remarked():
