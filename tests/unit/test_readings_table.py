@@ -178,5 +178,11 @@ def test_a_line_with_too_few_cells_is_torn_only_at_the_end(tmp_path: Path) -> No
         read_readings(_write(tmp_path, "position,curvature\n5,0.01\n15\n25,0.01\n"))
 
 
+def test_a_column_that_is_not_used_is_named(tmp_path: Path) -> None:
+    path = _write(tmp_path, "position,direction,curvature\n5,90,0.01\n")
+    (remark,) = read_readings(path).remarks
+    assert "not used: direction; the columns of readings are position, curvature" in remark
+
+
 def test_a_plain_table_has_no_remarks(tmp_path: Path) -> None:
     assert read_readings(_write(tmp_path, "# lab\nposition,curvature\n5,0.01\n")).remarks == ()

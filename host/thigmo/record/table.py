@@ -35,6 +35,7 @@ _SEPARATORS = (",", ";", "\t")
 _MOST_CHARACTERS = 64 << 20
 _MOST_ROWS = 1_000_000
 _MOST_READINGS = 2000  # of one frame
+_READINGS_COLUMNS = ("position", "curvature", "span", "angle_deg", "strain")
 _MOST_NOTES = 200  # lines above the header
 _MOST_UNIT_ROWS = 3  # below the header
 # "12:34:56.789 -> 0.01,0.02", as the Arduino IDE's serial monitor writes it; PlatformIO writes ">".
@@ -133,7 +134,7 @@ class ReadingsTable:
     lines: tuple[int, ...]  # of the file, from 1
     angle: Array | None = None  # around the body, rad; None without that column
     strain: Array | None = None  # microstrain, in place of a curvature, which is nan then
-    remarks: tuple[str, ...] = ()  # which lines of the file were skipped, and why
+    remarks: tuple[str, ...] = ()  # which lines of the file were skipped, or columns not used
 
 
 def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
@@ -156,8 +157,14 @@ def read_readings(path: str | os.PathLike[str]) -> ReadingsTable:
         curvature = _readings(table, "curvature", missing=True)
     span = _readings(table, "span") if "span" in table else None
     angle = np.deg2rad(_readings(table, "angle_deg")) if "angle_deg" in table else None
+    remarks = list(table.remarks)
+    if unused := [name for name in table.columns if name not in _READINGS_COLUMNS]:
+        remarks.append(
+            f"{table.name}: not used: {', '.join(unused)}; the columns of readings are "
+            f"{', '.join(_READINGS_COLUMNS)}"
+        )
     return ReadingsTable(
-        position, curvature, span, tuple(table.lines), angle, strain, table.remarks
+        position, curvature, span, tuple(table.lines), angle, strain, tuple(remarks)
     )
 
 
