@@ -15,7 +15,7 @@ from thigmo_bench.studies.scenes import BOTH, SIGMA
 
 PLAIN = FrameResult(
     listed=1, likely=1, localized=True, ambiguous=False, p_no_contact=0.0, covered=1, wrong=False,
-    off_cm=0.5, hinge=False, more_possible=True, stands_out=0.0, fits=True, turn=1.0,
+    off_cm=0.5, hinge=False, p_more=0.3, stands_out=0.0, fits=True, turn=1.0,
 )  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def test_each_promise_fails_by_the_frames_that_it_speaks_of() -> None:
         ),
         "two on one side that one explains": (
             "two on one side, straight",
-            {"more_possible": False},
+            {"p_more": 0.01},
         ),
         "rod held at its end: localized": ("rod held at its end", {"off_cm": 3.0, "turn": 0.2}),
         "kinks of 3": ("kink, bent", {"stands_out": SEEN_KINK}),
