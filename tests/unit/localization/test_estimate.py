@@ -205,7 +205,8 @@ def test_two_informative_readings_are_enough():
 def test_units_of_length_do_not_matter(unit, noise):
     rng = np.random.default_rng(17)
     curvature = felt((30.0, LENGTH), (-6e-4, 5e-4)) + SIGMA * rng.standard_normal(10)
-    single = find(curvature, noise=noise, free_curvature=0.01)
+    rest = 0.05 * BOTH / LENGTH  # of a body that is curved along its length
+    single = find(curvature, noise=noise, free_curvature=0.01, body_curvature=rest)
     scaled = thigmo.localize(
         curvature / unit,
         BOTH * unit,
@@ -213,6 +214,7 @@ def test_units_of_length_do_not_matter(unit, noise):
         span=SPAN * unit,
         noise=None if noise is None else noise / unit,
         free_curvature=0.01 / unit,
+        body_curvature=rest / unit,
         tube_radius=1.75 * unit,
         held_end=False,
         critical_curvature=math.inf,
