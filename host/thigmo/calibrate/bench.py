@@ -87,7 +87,7 @@ def grow_to(
             "retract it with `thigmo retract`, then run this again",
         )
     stops = _stops_cm(spacing_cm or body.pitch_cm, length_cm)
-    boundaries = {z.until_cm for z in body.pressures if z.until_cm < length_cm}
+    boundaries = {p.until_cm for p in body.pressures if p.until_cm < length_cm}
     robot.vent()
     for stop in sorted(stops | boundaries):
         if stop <= grown_cm + SAME_LENGTH_CM:

@@ -38,8 +38,7 @@ def new(
     kind: Annotated[
         str,
         typer.Option(
-            help="Kind of the sensors: flex, heading (one string of IMUs), fibre, or any other "
-            "that robot.toml has.",
+            help="Kind of the sensors, such as flex, heading (one string of IMUs) or fibre.",
             autocompletion=_kinds,
         ),
     ] = "flex",

@@ -57,13 +57,11 @@ class SideFits:
         meanwhile: called often during a fit, which takes seconds; an exception in it ends the fit.
     """
 
-    meanwhile: Callable[[], None] | None
-
     def __init__(self, wiring: Wiring, prior: Sequence[Obstacle] = ()) -> None:
         config = wiring.config
         self._wiring, self._config, self._prior = wiring, config, prior
         self._known_places = KnownPlaces(prior)
-        self.meanwhile = None
+        self.meanwhile: Callable[[], None] | None = None
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
         bend = max(

@@ -175,7 +175,7 @@ def _gave_way(search: Search, expected: Callable[[Floats], Floats] | None) -> Sa
     release = search.pegs.release()
     if release is None or release.gain + prior < max(release.stays, LEAST_GAIN):
         return None
-    samples = _one_peg(search.of_what_stood(release.standing), expected)
+    samples = _one_peg(search.with_standing(release.standing), expected)
     if samples is None:
         return None
     samples = replace(samples, log_evidence=samples.log_evidence + prior)

@@ -99,7 +99,7 @@ def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> Exp
         stages=tuple(stages),
         centers=centers,
         spans=spans,
-        fold_moment=np.array([fold_moment(config, z) for z in range(len(config.body.pressures))]),
+        fold_moment=np.array([fold_moment(config, p) for p in range(len(config.body.pressures))]),
         radius=config.body.radius_cm,
     )
     errors = stated(wiring, side, use)

@@ -129,7 +129,7 @@ class Search:
         # The bin of each stage at whose end the answer is told; -1: what stood there was gone.
         self._peaks = [self._peak(s) for s in range(len(readings.stages))]
 
-    def of_what_stood(self, standing: Floats) -> Search:
+    def with_standing(self, standing: Floats) -> Search:
         """The same for an obstacle that stood in a share (n,) of each bin."""
         readings = replace(self.readings, standing=standing)
         return Search(readings, self.errors, self._atlas, self._meanwhile)
