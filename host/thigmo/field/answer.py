@@ -143,7 +143,8 @@ def _contacts(search: Search, expected: Callable[[Floats], Floats] | None) -> li
     # The likelier first: its samples may leave the other too unlikely to be sampled.
     for log_evidence, chains in sorted(rivals, key=lambda rival: -rival[0]):
         if log_evidence > explanations[0].log_evidence - _NEAR:
-            samples = _sampled(search, chains, expected)
+            least = explanations[0].log_evidence - _SURELY
+            samples = _sampled(search, chains, expected, least)
             explanations += [] if samples is None else [samples]
         explanations.sort(key=lambda samples: -samples.log_evidence)
     return _answer(search, explanations, _doubt(explanations, readings))
@@ -183,11 +184,16 @@ def _gave_way(search: Search, expected: Callable[[Floats], Floats] | None) -> Sa
 
 
 def _sampled(
-    search: Search, chains: list[list[Mode]], expected: Callable[[Floats], Floats] | None
+    search: Search,
+    chains: list[list[Mode]],
+    expected: Callable[[Floats], Floats] | None,
+    least_log_evidence: float = -np.inf,
 ) -> Samples | None:
     """Samples around modes; few, for their evidence alone, if the likeliest leaves too much."""
     most = _most_misfit(search.readings) / ALIKE
-    return search.sample(chains, expected=expected, most_misfit=most)
+    return search.sample(
+        chains, expected=expected, most_misfit=most, least_log_evidence=least_log_evidence
+    )
 
 
 def _laplace(search: Search, chains: list[list[Mode]]) -> float:

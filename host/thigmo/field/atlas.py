@@ -134,18 +134,23 @@ class Atlas:
         heading[:, 1:] = np.cumsum((mean - bends[:, None]) * cell, axis=1)
         return _Table(first, heading)
 
-    def likeliest(self, pegs: Pegs) -> list[Place]:
-        """The best places for one peg, likeliest first."""
+    def likeliest(self, pegs: Pegs, readings: Readings) -> list[Place]:
+        """The best places for one peg, likeliest first; the best between any two ends among them.
+
+        A body whose end passes a peg reads as if nothing stood there, so no fit crosses an end.
+        """
         if not pegs.touches:
             return []
         gains = pegs.gains()
         best: list[Place] = []
+        between = set()
         for n in np.argsort(-gains):
             place = Place(float(gains[n]), *pegs.touches[n])
-            if all(self._apart(place, kept) for kept in best):
+            ends = readings.ends_before(place.arc)
+            is_apart = all(self._apart(place, kept) for kept in best)
+            if ends not in between or (is_apart and len(best) < _KEPT):
                 best.append(place)
-            if len(best) == _KEPT:
-                break
+                between.add(ends)
         return best
 
     def pegs(self, fit: FieldFit, nothing: Mode) -> Pegs:

@@ -25,6 +25,7 @@ from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, FieldFit, Mode
 from thigmo.field.hypotheses import (
     AHEAD,
     AHEAD_MEAN,
+    ARC,
     BASE,
     FOLD,
     PEG,
@@ -49,7 +50,9 @@ _STARTS = RADIUS_MEAN + RADIUS_STD * np.array([-0.7, 0.6])
 # Levels of the mechanics' relative error, and their prior odds: a body of fabric is no ideal rod.
 MODELS, MODEL_ODDS = (0.0, 0.05, 0.2), (0.6, 0.3, 0.1)
 ROUGH = 0.15  # under which starts are sought
-_FAR = 60.0  # cost beyond which a start is dropped, and
+# Of the longest body: arcs of two starts that lead to one mode.
+_ARC_NEAR = 1 / 53
+_FAR = 60.0  # cost beyond which a mode is dropped, and
 _FALLEN = 25.0  # one beyond which the ridge is not followed
 _PROPOSED = 14.0  # and beyond which a node proposes no samples
 _DOF, _WIDER = 6, 1.3  # of the proposals
@@ -125,7 +128,7 @@ class Search:
         self._rough = self._fit_with(readings, model=ROUGH, row=2.0)
         self.nothing = self.fit.nothing()
         self.pegs = atlas.pegs(self.fit, self.nothing)
-        self.places = atlas.likeliest(self.pegs)
+        self.places = atlas.likeliest(self.pegs, readings)
         # The bin of each stage at whose end the answer is told; -1: what stood there was gone.
         self._peaks = [self._peak(s) for s in range(len(readings.stages))]
 
@@ -148,8 +151,8 @@ class Search:
         whole = np.flatnonzero(standing == standing.max())
         return float(self.readings.bend[self._peaks[self.readings.stage[whole[-1]]]])
 
-    def ridges(self, known: Sequence[Mode] = (), keep: int = 2) -> list[list[Mode]]:
-        """Chains of modes along the ridges of the likeliest places; `known`: of earlier sweeps."""
+    def ridges(self, keep: int = 2) -> list[list[Mode]]:
+        """Chains of modes along the ridges of the likeliest places."""
         fit, rough = self.fit, self._rough
         first = []
         for place in self.places:
@@ -158,25 +161,36 @@ class Search:
                 if PEG.possible(q, rough.body):
                     first.append(rough.solve(PEG, q, passes=6, held=(RADIUS, 3, 4, 5, 6)))
         first.sort(key=lambda mode: mode.cost)
-        begins: list[Floats] = [mode.q for mode in known]
+        begins: list[Mode] = []
         for mode in first:
-            near = any(abs((mode.q - q)[[0, 2]]).max() < 1.0 for q in begins)
-            if mode.cost < first[0].cost + _FAR and not near:
-                begins.append(mode.q)
-        modes = [
-            fit.solve(PEG, q, passes=6, held=(RADIUS,))
-            for q in begins[: 3 + len(known)]
-            if PEG.possible(q, fit.body)
-        ]
+            if not any(self._near(mode, begin) for begin in begins):
+                begins.append(mode)
+        modes = [fit.solve(PEG, mode.q, passes=6, held=(RADIUS,)) for mode in begins]
         modes.sort(key=lambda mode: mode.cost)
         chains: list[list[Mode]] = []
+        between = set()
         for mode in modes:
-            if len(chains) == keep or mode.cost > modes[0].cost + _FAR:
+            if mode.cost > modes[0].cost + _FAR:
                 break
-            if any(_on(chain, mode) for chain in chains):
+            ends = self.readings.ends_before(mode.q[ARC])
+            if any(self._on(chain, mode) for chain in chains):
                 continue
-            chains.append(self._followed(mode))
+            if len(chains) < keep or ends not in between:
+                chains.append(self._followed(mode))
+                between.add(ends)
         return chains
+
+    def _near(self, first: Mode, second: Mode) -> bool:
+        """Whether two modes lead to one."""
+        arcs, radii = (abs(first.q[n] - second.q[n]) for n in (ARC, RADIUS))
+        ends = {self.readings.ends_before(mode.q[ARC]) for mode in (first, second)}
+        return arcs < _ARC_NEAR * self.fit.longest and radii < 1.0 and len(ends) == 1
+
+    def _on(self, chain: Sequence[Mode], mode: Mode) -> bool:
+        """Whether a mode lies on a ridge."""
+        radii = [node.q[RADIUS] for node in chain]
+        arc = np.interp(mode.q[RADIUS], radii, [node.q[ARC] for node in chain])
+        return bool(abs(arc - mode.q[ARC]) < 0.5 * _ARC_NEAR * self.fit.longest)
 
     def _followed(self, begin: Mode) -> list[Mode]:
         """The ridge from a mode to both sides, node by node."""
@@ -211,7 +225,9 @@ class Search:
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
             alone = self._fit_with(self.readings.at_length(length))
-            nearest = self._atlas.likeliest(self._atlas.pegs(alone, alone.nothing()))[:_PLACES]
+            nearest = self._atlas.likeliest(
+                self._atlas.pegs(alone, alone.nothing()), alone.readings
+            )[:_PLACES]
             places += [place for place in nearest if place.gain > _LEAST_PLACE]
         touches = sorted({(place.arc, place.bend) for place in places})
         groups = [
@@ -313,14 +329,16 @@ class Search:
         seed: int = 0,
         expected: Callable[[Floats], Floats] | None = None,
         most_misfit: float = np.inf,
+        least_log_evidence: float = -np.inf,
     ) -> Samples | None:
         """Importance samples, in rounds until enough of them count; None if no place is possible.
 
         The first round is drawn around the ridges, later ones mostly as the samples so far are
         spread; all are weighed by the mixture of all rounds. `expected`: density of a given map at
         points (n, 2) of the touched skin, over that of a new obstacle. Where the weightiest sample
-        leaves more than `most_misfit`, a few rounds are drawn, for their evidence alone: samples
-        that agree are hard to get there, and place nothing.
+        leaves more than `most_misfit`, or the evidence stays below `least_log_evidence`, a few
+        rounds are drawn, for their evidence alone: samples that agree are hard to get there, and
+        place nothing.
         """
         rng, fit, hypothesis = np.random.default_rng(seed), self.fit, chains[0][0].hypothesis
         ridges, modes, chain_of = _ridges(chains) if hypothesis == PEG else _around(chains)
@@ -356,7 +374,7 @@ class Search:
             weight = softmax(logs)
             total = float(logsumexp(logs) - np.log(counts.sum()))
             best = drawn[int(np.argmax(weight))]
-            hopeless = best.misfit > most_misfit * readings
+            hopeless = best.misfit > most_misfit * readings or total < least_log_evidence
             if ENOUGH * np.sum(weight**2) < 1 or (hopeless and done >= _FEW_ROUNDS):
                 break
             shares = weight @ np.array([d.levels for d in drawn])
@@ -452,13 +470,6 @@ class _Draw(NamedTuple):
     touch: Floats
     skin: Floats  # (obstacles, 2) first touched points
     misfit: float
-
-
-def _on(chain: Sequence[Mode], mode: Mode) -> bool:
-    """Whether a mode lies on a ridge."""
-    radii = [node.q[RADIUS] for node in chain]
-    arcs = [node.q[0] for node in chain]
-    return bool(abs(np.interp(mode.q[RADIUS], radii, arcs) - mode.q[0]) < 0.5)
 
 
 class _Mixture:

@@ -45,6 +45,10 @@ class Readings:
     response: Floats | None = None
     standing: Floats | None = None  # (n,) share of each bin before what stood there gave way
 
+    def ends_before(self, arc: float) -> int:
+        """Number of the everted lengths (cm) at which the body ends before an arc."""
+        return len({stage.length for stage in self.stages if stage.length < arc})
+
     def at_length(self, length: float) -> Readings:
         """The bins of the sweeps at an everted length."""
         kept = np.flatnonzero([stage.length == length for stage in self.stages])

@@ -12,6 +12,16 @@ namespace {
 
 constexpr double kStiff = 0.3;  // of a penalty, 1/cm^3
 
+// When a walk ends. The first one must leave a saddle, as a straight body pushed head-on does,
+// where steps are small before they grow. Later ones only follow the forces of the augmented
+// Lagrangian.
+struct End {
+  int steps;
+  double gain;    // of the energy, by the last step
+  double travel;  // by that step as well, cm
+};
+constexpr End kFirst{120, 1e-14, 1e-6}, kLater{60, 1e-7, 1.0};
+
 class Descent {
  public:
   Descent(const RodScene& scene, std::vector<double> bend, double fold_angle)
@@ -36,7 +46,7 @@ class Descent {
 
   Relaxed run() {
     for (int outer = 0; outer < 8; ++outer) {
-      walk(outer == 0 ? 400 : 60);
+      walk(outer == 0 ? kFirst : kLater);
       double worst = 0.0;
       for (std::size_t j = 0; j < hold_.size(); ++j) {
         hold_[j] = pressing(j);
@@ -145,12 +155,12 @@ class Descent {
   }
 
   // Gauss-Newton with a line search and, where that fails, damping, at fixed `hold_`.
-  void walk(int most) {
+  void walk(const End& end) {
     const std::size_t n = unknown_.size();
     double energy = lay_out(unknown_);
     double damping = 0.0;
     std::vector<double> gradient(n), stiffness(n), step(n), next(n);
-    for (int iteration = 0; iteration < most; ++iteration) {
+    for (int iteration = 0; iteration < end.steps; ++iteration) {
       for (int i = 0; i < scene_.cells; ++i) {
         gradient[i] = h_ * unknown_[i];
         stiffness[i] = h_ * (1.0 + damping);
@@ -222,7 +232,7 @@ class Descent {
       unknown_.swap(next);
       const double gain = energy - energy_next;
       energy = energy_next;
-      if (gain <= 1e-14 * std::fabs(energy) && scale * travel < 1e-6) return;
+      if (gain <= end.gain * std::fabs(energy) && scale * travel < end.travel) return;
     }
   }
 
