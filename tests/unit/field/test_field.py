@@ -419,6 +419,18 @@ def test_a_side_that_touched_nothing_is_empty(seed: int, atlas: Atlas) -> None:
 
 
 @pytest.mark.sim
+def test_a_peg_is_sought_on_both_sides_of_an_end(atlas: Atlas) -> None:
+    rng = np.random.default_rng(5)
+    rows = {length: _beside_peg(49.0, 0.012, 0.6, length, rng)[0] for length in (50.0, 53.0)}
+    search = Search(_readings(rows), _errors(), atlas)
+    arcs = [place.arc for place in search.places]
+    assert any(arc < 50.0 for arc in arcs)
+    assert any(50.0 < arc < 53.0 for arc in arcs)
+    gains = [place.gain for place in search.places]
+    assert gains == sorted(gains, reverse=True)
+
+
+@pytest.mark.sim
 @pytest.mark.parametrize(
     ("arc", "bend", "peg_radius"), [(34.0, 0.012, 1.0), (22.0, 0.01, 0.4), (45.0, 0.008, 2.0)]
 )
