@@ -64,7 +64,7 @@ def today() -> list[tuple[int, bytes]]:
     return read_hex(mega_build.firmware_hex())
 
 
-@pytest.mark.parametrize("cuts", ["some", pytest.param("all", marks=pytest.mark.ci)])
+@pytest.mark.parametrize("cuts", ["some", pytest.param("all", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("under", UNDER)
 def test_a_cut_upload_in_rising_order_starts_nothing_once_page_1_is_written(
     under: str, cuts: str, board: UploadedBoard
