@@ -42,16 +42,16 @@ from thigmo.field.hypotheses import (
 )
 from thigmo.field.readings import Errors, Floats, Readings
 
-# Logarithms of radii over the tube's at which the ridge has nodes.
 # Friction, yield and base from which a fit starts: at none they have no derivative.
 _LEAST = 0.05, 0.05, 0.01
+# Logarithms of radii over the tube's at which the ridge has nodes.
 RADII = RADIUS_MEAN + RADIUS_STD * np.linspace(-2.0, 2.0, 8)
 _STARTS = RADIUS_MEAN + RADIUS_STD * np.array([-0.7, 0.6])
 # Levels of the mechanics' relative error, and their prior odds: a body of fabric is no ideal rod.
 MODELS, MODEL_ODDS = (0.0, 0.05, 0.2), (0.6, 0.3, 0.1)
 ROUGH = 0.15  # under which starts are sought
-# Of the longest body: arcs of two starts that lead to one mode.
-_ARC_NEAR = 1 / 53
+_CHAINS = 2  # of the likeliest; the likeliest between any two ends is followed as well
+_ARC_NEAR = 1 / 53  # of the longest body: two starts so near lead to one mode
 _FAR = 60.0  # cost beyond which a mode is dropped, and
 _FALLEN = 25.0  # one beyond which the ridge is not followed
 _PROPOSED = 14.0  # and beyond which a node proposes no samples
@@ -151,7 +151,7 @@ class Search:
         whole = np.flatnonzero(standing == standing.max())
         return float(self.readings.bend[self._peaks[self.readings.stage[whole[-1]]]])
 
-    def ridges(self, keep: int = 2) -> list[list[Mode]]:
+    def ridges(self) -> list[list[Mode]]:
         """Chains of modes along the ridges of the likeliest places."""
         fit, rough = self.fit, self._rough
         first = []
@@ -175,7 +175,7 @@ class Search:
             ends = self.readings.ends_before(mode.q[ARC])
             if any(self._on(chain, mode) for chain in chains):
                 continue
-            if len(chains) < keep or ends not in between:
+            if len(chains) < _CHAINS or ends not in between:
                 chains.append(self._followed(mode))
                 between.add(ends)
         return chains
