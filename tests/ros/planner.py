@@ -36,7 +36,9 @@ def latched(depth: int) -> QoSProfile:
 
 
 def tell(topic: str, **fields: Any) -> None:
-    print(json.dumps({"topic": topic, **fields}), flush=True)
+    """Print one line. Two threads call it; `print` would write a line and its end apart."""
+    sys.stdout.write(json.dumps({"topic": topic, **fields}) + "\n")
+    sys.stdout.flush()
 
 
 def head(message: Any) -> dict[str, Any]:
