@@ -34,7 +34,12 @@ from thigmo_bench.studies.robots import (
 )
 from thigmo_bench.studies.rooms import explored
 
-OTHERS = [name for name in ROBOTS if name != THESIS]
+LONG = "200 cm, 1 muscle, 16 sensors"  # five minutes
+OTHERS = [
+    pytest.param(name, marks=pytest.mark.nightly if name == LONG else ())
+    for name in ROBOTS
+    if name != THESIS
+]
 
 
 def _prepare(driven: Robot, robot: RobotConfig) -> None:
