@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from thigmo.emulator.scene import Scene
-from thigmo_bench.studies.exploration import judge_map, random_pegs
+from thigmo_bench.studies.exploration import judge_map
+from thigmo_bench.studies.random_rooms import random_pegs
 from thigmo_bench.studies.rooms import explored
 
 

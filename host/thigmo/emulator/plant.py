@@ -69,6 +69,7 @@ class Truth:
     contacts: tuple[PegContact, ...]  # touching pegs, base first
     # `curvature` is without the fold and the rest shape
     centreline: Floats  # columns s, heading, curvature, x, y; shape (n, 5)
+    gave_way: frozenset[int] = frozenset()  # numbers of the pegs that did, walls' rows left out
 
 
 class _Switch:
@@ -385,13 +386,14 @@ class Plant:
             return Truth(pegs, self.length_cm, contacts, line)
         # Walls are rows of pegs here: of each, by its number, the row's first and the row.
         all_pegs = list(self.pegs)
+        gave_way = frozenset(range(len(self.pegs))) - set(self._standing)
         rows: dict[int, tuple[int, list[Peg]]] = {}
         for number, obstacle in enumerate(self._obstacles):
             if isinstance(obstacle, Wall):
                 rows[number] = len(all_pegs), _row(obstacle)
                 all_pegs += rows[number][1]
         if self.length_cm < _SMALLEST_CM:
-            return Truth(tuple(all_pegs), self.length_cm, (), np.zeros((1, 5)))
+            return Truth(tuple(all_pegs), self.length_cm, (), np.zeros((1, 5)), gave_way)
         touching = []
         for contact in self.body.contacts():
             number = self._standing[contact.peg]
@@ -400,7 +402,7 @@ class Plant:
                 distances = [hypot(contact.x - peg.x, contact.y - peg.y) for peg in row]
                 number = first + int(np.argmin(distances))
             touching.append(replace(contact, peg=number))
-        return Truth(tuple(all_pegs), self.length_cm, tuple(touching), self.body.nodes())
+        return Truth(tuple(all_pegs), self.length_cm, tuple(touching), self.body.nodes(), gave_way)
 
     # Motion.
 

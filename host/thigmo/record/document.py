@@ -220,6 +220,7 @@ class TruePeg:
     x_cm: float
     y_cm: float
     radius_cm: float
+    gave_way: bool = False  # to the body, for good
 
 
 @dataclass(frozen=True, slots=True)

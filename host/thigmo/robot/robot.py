@@ -240,7 +240,10 @@ class Robot(Closing):
         scenery = self.scenery()
         if scenery is None:
             return None
-        pegs = [TruePeg(float(p.x), float(p.y), float(p.radius)) for p in scenery.pegs]
+        pegs = [
+            TruePeg(float(p.x), float(p.y), float(p.radius), number in scenery.gave_way)
+            for number, p in enumerate(scenery.pegs)
+        ]
         length = float(scenery.length_cm)
         touching = [
             TrueContact(float(c.x), float(c.y), float(c.arc), length, int(c.peg), side)

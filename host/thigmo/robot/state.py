@@ -151,7 +151,10 @@ class SweepResult:
 
 
 def together(truths: Iterable[Truth | None]) -> Truth | None:
-    """The same emulated room at several moments: all their contacts; None on hardware."""
+    """The same emulated room at several moments: all their contacts, and the pegs as they are last.
+
+    None on hardware.
+    """
     known = [truth for truth in truths if truth is not None]
     contacts = [contact for truth in known for contact in truth.contacts]
-    return Truth(known[0].pegs, contacts) if known else None
+    return Truth(known[-1].pegs, contacts) if known else None

@@ -4,11 +4,12 @@ Each peg is drawn where some sweep of the noise-free plant must feel it (`emulat
 robot that explores the room is the default scene's, or one with a body or sensors that differ from
 its robot.toml. Empty rooms are explored as well, where every contact reported is
 false, and so are rooms of walls, corners and gaps, of dowels apart or side by side, and growths
-that tail friction stops without an obstacle. Contacts are compared with the surfaces that were
-touched, never with what was out of reach. The planners' map of every room with pegs is compared
-with the room: it counts cells inside pegs that are called free, separately for pegs that were felt
-and missed. Last, rooms of three kinds are explored with every effort, with budgets of robot time
-and by the thesis's protocol, to show what robot time gains.
+that tail friction stops without an obstacle, two pegs that a side touches at once, pegs that give
+way, and pegs that stand while the body slips past. Contacts are compared with the surfaces that
+were touched, never with what was out of reach. The planners' map of every room with pegs is
+compared with the room: it counts cells inside pegs that are called free, separately for pegs that
+were felt and missed. Last, rooms of three kinds are explored with every effort, with budgets of
+robot time and by the thesis's protocol, to show what robot time gains.
 
 A study of other code or another method explores the same rooms with the same seeds: given the
 earlier one's table of runs, it says by how much each kind has become better, room by room.
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations, permutations
 from math import hypot, nan, sqrt
 from time import process_time
 from typing import Any, NamedTuple
@@ -27,7 +29,7 @@ from matplotlib.figure import Figure
 
 from thigmo.config import RobotConfig
 from thigmo.display.axes import BLUE, GREEN, ORANGE, RED
-from thigmo.emulator.reach import first_felt, random_peg
+from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
@@ -35,21 +37,23 @@ from thigmo.exploration.map import best_contact, of_stage
 from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.obstacles import occupancy
 from thigmo.exploration.scoring import felt_pegs, from_line
-from thigmo.mechanics import Peg
 from thigmo.record import MapContact, RunDocument, TrueContact, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo.wiring import Wiring
 from thigmo_bench.studies import charts
 from thigmo_bench.studies.engine import Claim, Context, Explorations, Outcome, Record, share
+from thigmo_bench.studies.random_rooms import (
+    RADII_CM,
+    random_pair,
+    random_pegs,
+    random_slipped,
+    random_wall,
+)
 from thigmo_bench.studies.rooms import explored_scene
 from thigmo_bench.studies.scenes import RADIUS
 
 ROUNDS = 10  # parts of all rooms; the results so far are written after each
 LENGTH_CM = 0.1  # error of the everted length, at which intervals end
-_RADII_CM = (0.25, 2.5)
-_MOST_PEGS = 3
-_MOST_DOWELS = 64  # of a scene
-_BETWEEN_CM = 0.5  # pegs stand at least so far apart
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,10 @@ class Kind:
     peg: bool = True  # whether a peg stands in the room
     more: bool = False  # whether there are up to two more pegs, for the map
     wall: bool = False  # whether there is a wall instead
+    pair: bool = False  # whether the longest sweep of a side touches two pegs at once
+    slips: bool = False  # whether the body slips past the peg
+    # whether the peg gives way for good, to a share of the force on it that would fold the base
+    gives_way: bool = False
     # tail friction (psi/cm) at which growth stalls somewhere; None: the scene's
     friction: tuple[float, float] | None = None
     rubs: float = 0.0  # largest friction coefficient between body and obstacles
@@ -78,6 +86,7 @@ class Kind:
 
 TRUE, MORE = CALIBRATED = ("as calibrated", "one to three pegs")  # of the default scene's robot
 WALLS, STALLS = "walls, corners, gaps", "stalls, empty"
+PAIR, GIVES_WAY, SLIPS = "two pegs on a side", "pegs that give way", "pegs slipped past"
 KINDS: dict[str, Kind] = {
     TRUE: Kind(60),
     "bends 10 % less": Kind(20, bend=0.9),
@@ -99,6 +108,9 @@ KINDS: dict[str, Kind] = {
     "base turns to 0.05 rad": Kind(60, base_rad=0.05, drawn=True),
     "pegs yield to 1 cm": Kind(60, yields_cm=1.0, drawn=True),
     "round tip": Kind(60, round_tip=True, drawn=True),
+    PAIR: Kind(40, rubs=0.6, pair=True),
+    GIVES_WAY: Kind(60, gives_way=True),
+    SLIPS: Kind(20, rubs=0.6, slips=True),
 }
 _OTHERS = tuple(name for name, kind in KINDS.items() if kind.bend != 1.0 or kind.gains)
 _NOISY = tuple(name for name in KINDS if "noisy" in name or "empty," in name or name == "empty")
@@ -111,6 +123,8 @@ _YIELDS_AT_CM = 45.0  # arc at which a force that folds the base acts on a yield
 _AGAINST, _LOOPS, _SLOWER = (0.3, 1.0), (0.5, 2.0), (0.8, 1.3)  # ranges of what is drawn
 _IN_ELLIPSE = 5.99  # chi-squared of two numbers at 95 %
 _OFF_CM = 4.0  # distance to all touched surfaces beyond which a contact is false or missed
+_BOTH_CM = 2.0  # distance from the truth within which one of two contacts is placed
+_WEAK = (0.3, 0.9)  # share of the force that folds the base, to which a peg gives way
 
 
 @dataclass
@@ -146,6 +160,15 @@ class Explored:
     ellipses: int = 0
     ellipses_missed: int = 0
     best_cm: float = nan  # distance of the best contact from the truth in the plane
+    # pairs: whether a sweep's peak touched two pegs; pairs_placed: whether two contacts are those,
+    # each near the truth and with it in its 95 % ellipse
+    pairs: int = 0
+    pairs_placed: int = 0
+    # gave_way, gave_way_said: pegs that did, and those of them that a contact says it of;
+    # standing_gone: contacts said to have given way that are near no such peg
+    gave_way: int = 0
+    gave_way_said: int = 0
+    standing_gone: int = 0
     samples: float = nan  # effective samples of the fit behind it; NaN if it has none
     processor_s: float = nan  # time of the processor, the emulator's included
     cause: str = ""  # the likeliest of a stall: "obstacle", "wall" or "pressure"; empty without one
@@ -170,6 +193,8 @@ class Explored:
                 squares = np.einsum("ni,in->n", offsets, np.linalg.solve(covariance, offsets.T))
                 self.ellipses = 1
                 self.ellipses_missed = int(squares.min() > _IN_ELLIPSE)
+        self._judge_pair(document.contacts, truth)
+        standing = self._judge_what_gave_way(document.contacts, truth)
         last = {contact.peg: contact for contact in truth.contacts}
         self.touched = len(last)
         self.touched_missed = sum(
@@ -181,7 +206,7 @@ class Explored:
         )
         pegs = [truth.pegs[peg] for peg in last]
         errors: list[float] = []
-        for contact in document.contacts:
+        for contact in standing:
             away = [
                 abs(hypot(contact.x_cm - p.x_cm, contact.y_cm - p.y_cm) - p.radius_cm) for p in pegs
             ]
@@ -201,12 +226,64 @@ class Explored:
                 self.contacts_wrong += not held and _distance(contact, truth.contacts) > RADIUS
         self.near, self.error_cm = len(errors), float(np.mean(errors)) if errors else nan
 
+    def _judge_pair(self, contacts: Sequence[MapContact], truth: Truth) -> None:
+        """Compare contacts with two pegs, if both were touched at a sweep's peak."""
+        sweeps = {(true.everted_length_cm, true.side, true.peg) for true in truth.contacts}
+        at_once = [
+            {first, second}
+            for (*sweep, first), (*other, second) in combinations(sorted(sweeps), 2)
+            if sweep == other
+        ]
+        self.pairs = int(bool(at_once))
+        self.pairs_placed = int(any(
+            _holds(one, truth.contacts, first) and _holds(other, truth.contacts, second)
+            for one, other in permutations(contacts, 2)
+            for first, second in at_once
+        ))  # fmt: skip
+
+    def _judge_what_gave_way(
+        self, contacts: Sequence[MapContact], truth: Truth
+    ) -> list[MapContact]:
+        """Compare what is said to have given way with the pegs that did; all other contacts."""
+        gone = [peg for peg in truth.pegs if peg.gave_way]
+        said: set[int] = set()
+        others: list[MapContact] = []
+        for contact in contacts:
+            near = {
+                number
+                for number, peg in enumerate(gone)
+                if abs(hypot(contact.x_cm - peg.x_cm, contact.y_cm - peg.y_cm) - peg.radius_cm)
+                <= _OFF_CM
+            }
+            if contact.gave_way_per_cm is not None and near:
+                said |= near
+            else:
+                others.append(contact)
+                self.standing_gone += contact.gave_way_per_cm is not None
+        self.gave_way, self.gave_way_said = len(gone), len(said)
+        return others
+
 
 def _distance(contact: MapContact, true_contacts: Sequence[TrueContact]) -> float:
     """Distance in the plane to the nearest true contact of its stage, or of any; else infinity."""
     nearby = [t for t in true_contacts if of_stage(t, contact.everted_length_cm, contact.side)]
     away = [hypot(contact.x_cm - t.x_cm, contact.y_cm - t.y_cm) for t in nearby or true_contacts]
     return min(away, default=np.inf)
+
+
+def _holds(contact: MapContact, true_contacts: Sequence[TrueContact], peg: int) -> bool:
+    """Whether a contact is that with a peg: near its truth, which its 95 % ellipse holds."""
+    covariance = np.array(contact.covariance_cm2)
+    for true in true_contacts:
+        if true.peg == peg and of_stage(true, contact.everted_length_cm, contact.side):
+            off = np.array([true.x_cm - contact.x_cm, true.y_cm - contact.y_cm])
+            if (
+                np.linalg.det(covariance) > 0.0
+                and float(off @ np.linalg.solve(covariance, off)) <= _IN_ELLIPSE
+                and float(np.hypot(*off)) <= _BOTH_CM
+            ):
+                return True
+    return False
 
 
 class Mapped(NamedTuple):
@@ -246,55 +323,6 @@ def judge_map(document: RunDocument) -> Mapped:
     return Mapped._make([*counts.ravel().tolist(), int(free.sum()), swept, *cells])
 
 
-def random_pegs(seed: int) -> list[PegTable]:
-    """One to three pegs; each alone would be felt."""
-    robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A9])
-    pegs: list[PegTable] = []
-    for _ in range(rng.integers(1, _MOST_PEGS + 1)):
-        peg, _ = random_peg(robot, rng, radius=_RADII_CM)
-        gaps = (hypot(peg.x - o.x, peg.y - o.y) - peg.radius - o.radius for o in pegs)
-        if all(gap > _BETWEEN_CM for gap in gaps):
-            pegs.append(PegTable(x=peg.x, y=peg.y, radius=peg.radius))
-    return pegs
-
-
-def random_wall(seed: int) -> list[PegTable]:
-    """A wall, a corner, a wall with a gap, or one on each side, beside the path of growth.
-
-    Of dowels apart, or side by side as a smooth wall.
-    """
-    robot, rng = Scene.load("default").robot, np.random.default_rng([seed, 0x3A11])
-    while True:
-        kind, smooth = rng.choice(["wall", "corner", "gap", "two"]), rng.random() < 0.5
-        radius = 0.4 if smooth else float(rng.uniform(0.5, 1.0))
-        spacing = 0.5 if smooth else float(rng.uniform(2.0, 3.0))
-        side = float(rng.choice([-1.0, 1.0]))
-
-        def row(x: float, y: float, angle: float, length: float) -> list[tuple[float, float]]:
-            along = spacing * np.arange(max(round(length / spacing), 1) + 1)  # noqa: B023
-            return list(zip(x + along * np.cos(angle), y + along * np.sin(angle), strict=True))
-
-        def beside(way: float) -> list[tuple[float, float]]:
-            x, y = rng.uniform(10.0, 35.0), way * rng.uniform(4.0, 20.0)
-            return row(x, y, rng.uniform(-0.6, 0.6), rng.uniform(10.0, 30.0))
-
-        places = beside(side)
-        if kind == "corner":
-            (x0, y0), (x1, y1) = places[0], places[-1]
-            turn = float(np.arctan2(y1 - y0, x1 - x0)) + float(rng.choice([-1.0, 1.0])) * np.pi / 2
-            places += row(x1, y1, turn, rng.uniform(6.0, 15.0))[1:]
-        elif kind == "gap":
-            middle, gap = rng.uniform(0.3, 0.7) * len(places), rng.uniform(5.0, 10.0) / spacing
-            places = [p for n, p in enumerate(places) if abs(n - middle) > gap / 2]
-        elif kind == "two":
-            places += beside(-side)
-        clear = robot.body.radius_cm + radius + 0.3
-        pegs = [PegTable(x=x, y=y, radius=radius) for x, y in places if abs(y) > clear and x > 3.0]
-        countable = 3 <= len(pegs) <= _MOST_DOWELS
-        if countable and first_felt(robot, [Peg(p.x, p.y, p.radius) for p in pegs]) is not None:
-            return pegs
-
-
 Run = tuple[Explored, Mapped | None]
 
 
@@ -327,9 +355,13 @@ def visit(room: Room) -> Run:
     scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []
     if kind.friction is not None:
         scene.robot.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))
-    scene.body.friction = float(rng.uniform(0.0, kind.rubs))
-    if kind.peg and not scene.pegs:
-        peg, _ = random_peg(scene.robot, rng, radius=_RADII_CM)
+    scene.body.friction = friction = float(rng.uniform(0.0, kind.rubs))
+    if kind.pair:
+        scene.pegs = random_pair(seed, friction)
+    elif kind.slips:
+        scene.pegs = [random_slipped(seed, friction)]
+    elif kind.peg and not scene.pegs:
+        peg, _ = random_peg(scene.robot, rng, radius=RADII_CM)
         explored.x_cm, explored.y_cm, explored.radius_cm = peg.x, peg.y, peg.radius
         scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
     critical = scene.robot.body.critical_curvature
@@ -337,6 +369,8 @@ def visit(room: Room) -> Run:
     for table in scene.pegs:
         yields = float(rng.uniform(0.0, kind.yields_cm))
         table.compliance_cm3 = yields * _YIELDS_AT_CM / critical
+        if kind.gives_way:
+            table.gives_way = float(rng.uniform(*_WEAK)) * critical / hypot(table.x, table.y)
     if kind.round_tip:
         scene.body.tip_rounding_cm = scene.robot.body.radius_cm
     if kind.drawn:
@@ -578,7 +612,8 @@ def _by_kind(explored: list[Explored]) -> list[Record]:
             **{
                 counted: sum(getattr(room, counted) for room in rooms)
                 for counted in ("touched", "touched_missed", "far", "contacts_localized",
-                             "sets_missed", "contacts_wrong", "ellipses", "ellipses_missed")
+                             "sets_missed", "contacts_wrong", "ellipses", "ellipses_missed",
+                             "pairs", "pairs_placed", "gave_way", "gave_way_said", "standing_gone")
             },
             "error_cm": _error(rooms),
             "best_cm": _mean([room.best_cm for room in rooms]),
@@ -604,6 +639,9 @@ def _claims(explored: list[Explored]) -> list[Claim]:
         return 100 * total(group, "touched_missed") / max(total(group, "touched"), 1.0)
 
     walls, stalls, several = of_kinds(WALLS), of_kinds(STALLS), of_kinds(MORE)
+    sides = [room for room in of_kinds(PAIR) if room.pairs]
+    gone = [room for room in of_kinds(GIVES_WAY) if room.gave_way]
+    standing = [room for room in explored if KINDS[room.kind].peg and not room.gave_way]
     pegs = of_kinds(TRUE, *_OTHERS)
     noisy = share([room.far > 0 for room in of_kinds(*_NOISY)])
     held = per(60, walls, "contacts_localized") - per(60, walls, "contacts_wrong")
@@ -642,6 +680,15 @@ def _claims(explored: list[Explored]) -> list[Claim]:
             ),
             Claim(f"{MORE}: contacts missed by {off}", missed(several), 10.0, unit="%"),
         ]
+    if sides:
+        both = share([room.pairs_placed > 0 for room in sides])
+        claims.append(Claim(f"{PAIR}, {len(sides)} sides: both placed", both, 0.6, False))
+    if gone:
+        said = share([room.gave_way_said > 0 for room in gone])
+        claims.append(Claim(f"{GIVES_WAY}, {len(gone)} that did: said so", said, 0.8, False))
+    if standing:
+        text = f"pegs that stand, {len(standing)} rooms: said to have given way, of 60 rooms"
+        claims.append(Claim(text, per(60, standing, "standing_gone"), 1.0))
     if of_kinds(TRUE):
         claims.append(Claim(f"{TRUE}: median |x error|", _median_x(of_kinds(TRUE)), 3.0, unit="cm"))
     if of_kinds(*_NOISY):
