@@ -10,7 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from thigmo.cli.main import app
+from thigmo.emulator.reach import stages, sweep_once
+from thigmo.emulator.scene import Scene
 from thigmo.errors import RunFolderError
+from thigmo.mechanics import Peg
 from thigmo.record import MapContact, RunDocument, TrueContact, TruePeg, Truth
 from thigmo_bench.cli.studies import lines
 from thigmo_bench.studies import STUDIES, Context, Outcome, load
@@ -25,6 +28,7 @@ from thigmo_bench.studies.exploration import (
     rooms,
     visit,
 )
+from thigmo_bench.studies.random_rooms import random_pair, random_slipped
 from thigmo_bench.studies.speed_accuracy import SCENES, Row, pareto
 from thigmo_bench.studies.stability import DEFAULT
 
@@ -135,6 +139,15 @@ def test_a_chosen_setting_is_tried_in_every_room_of_the_chosen_kinds() -> None:
     assert {room[:2] for room in chosen_rooms} <= whole  # the seeds of the study of all kinds
 
 
+def _contact(arc_cm: float, x_cm: float, y_cm: float, gave_way: float | None = None) -> MapContact:
+    return MapContact(
+        arc_cm=arc_cm, x_cm=x_cm, y_cm=y_cm, force_per_cm2=-2e-4,
+        interval_cm=(arc_cm - 2.0, arc_cm + 2.0), status="localized", everted_length_cm=53.0,
+        side="left", normal_rad=1.6, covariance_cm2=((1.0, 0.0), (0.0, 0.1)), track=[],
+        model="peg", readings=5, gave_way_per_cm=gave_way,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("arc_cm", "y_cm", "counts"),
     [
@@ -146,18 +159,75 @@ def test_a_chosen_setting_is_tried_in_every_room_of_the_chosen_kinds() -> None:
 def test_a_contact_is_localized_wrong_where_it_stands_over_a_radius_beside_what_its_set_lacks(
     arc_cm: float, y_cm: float, counts: tuple[int, int, int]
 ) -> None:
-    contact = MapContact(
-        arc_cm=arc_cm, x_cm=30.0, y_cm=y_cm, force_per_cm2=-2e-4,
-        interval_cm=(arc_cm - 2.0, arc_cm + 2.0), status="localized", everted_length_cm=53.0,
-        side="left", normal_rad=1.6, covariance_cm2=((1.0, 0.0), (0.0, 0.1)), track=[],
-        model="peg", readings=5,
-    )  # fmt: skip
+    contact = _contact(arc_cm, 30.0, y_cm)
     truth = Truth(
         pegs=[TruePeg(30.0, 1.0, 1.0)], contacts=[TrueContact(30.0, 0.0, 30.0, 53.0, 0, "left")]
     )
     explored = Explored("as calibrated", 1)
     explored.judge(RunDocument("", "", "", "", contacts=[contact], truth=truth))
     assert (explored.contacts_localized, explored.sets_missed, explored.contacts_wrong) == counts
+
+
+@pytest.mark.parametrize(
+    ("places", "placed"),
+    [
+        ([(20.0, 0.1), (40.0, -0.1)], 1),
+        ([(20.0, 0.1)], 0),  # the other is not listed
+        ([(20.0, 0.1), (20.5, 0.1)], 0),
+        ([(20.0, 0.1), (42.1, 0.0)], 0),  # in the ellipse, and 2.1 cm off
+        ([(20.0, 0.1), (40.0, 1.0)], 0),  # near, and the ellipse lacks it
+    ],
+)
+def test_a_pair_is_placed_where_each_of_two_contacts_is_near_its_truth_and_its_ellipse_holds_it(
+    places: list[tuple[float, float]], placed: int
+) -> None:
+    truth = Truth(
+        [TruePeg(20.0, 1.0, 1.0), TruePeg(40.0, 1.0, 1.0)],
+        [TrueContact(x, 0.0, x, 53.0, n, "left") for n, x in enumerate((20.0, 40.0))],
+    )
+    explored = Explored("two pegs on a side", 1)
+    contacts = [_contact(x, x, y) for x, y in places]
+    explored.judge(RunDocument("", "", "", "", contacts=contacts, truth=truth))
+    assert (explored.pairs, explored.pairs_placed) == (1, placed)
+    alone = Truth(truth.pegs, truth.contacts[:1])
+    explored.judge(RunDocument("", "", "", "", contacts=contacts, truth=alone))
+    assert (explored.pairs, explored.pairs_placed) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("gone", "said", "counts"),
+    [
+        (True, 0.02, (1, 1, 0, 0)),
+        (True, None, (1, 0, 0, 1)),  # called a peg that stands, where none was touched last
+        (False, 0.02, (0, 0, 1, 1)),
+    ],
+)
+def test_what_is_said_to_have_given_way_is_compared_with_the_pegs_that_did(
+    gone: bool, said: float | None, counts: tuple[int, int, int, int]
+) -> None:
+    explored = Explored("pegs that give way", 1)
+    truth = Truth([TruePeg(30.0, 1.0, 1.0, gone)], [])
+    contact = _contact(30.0, 30.0, 0.1, said)
+    explored.judge(RunDocument("", "", "", "", contacts=[contact], truth=truth))
+    said_and_done = explored.gave_way, explored.gave_way_said
+    assert (*said_and_done, explored.standing_gone, explored.far) == counts
+
+
+def test_rooms_of_pairs_and_of_slipped_pegs_touch_as_they_say_and_repeat_with_the_seed() -> None:
+    robot = Scene.load("default").robot
+    first, second = (Peg(peg.x, peg.y, peg.radius) for peg in random_pair(2, 0.0))
+    assert (first.y > 0) == (second.y > 0)
+    side = "left" if first.y > 0 else "right"
+    # The emulator's own walk, at the peak of the whole sweep or before.
+    touched = sweep_once(robot, [first, second], robot.body.length_cm, side)
+    assert touched is not None
+    assert random_pair(2, 0.0) == random_pair(2, 0.0)
+    slipped = random_slipped(0, 0.0)
+    assert slipped == random_slipped(0, 0.0)
+    peg = Peg(slipped.x, slipped.y, slipped.radius)
+    way = "left" if peg.y > 0 else "right"
+    felt = [sweep_once(robot, [peg], length, way) for length in stages(robot)]
+    assert any(touch is not None and not touch.contacts for touch in felt)
 
 
 def test_runs_are_compared_room_by_room() -> None:

@@ -56,6 +56,7 @@ def test_a_peg_gives_way_for_good_and_stays_in_the_truth() -> None:
     assert excess(plant) == pytest.approx(0.0, abs=1e-4)
     truth = plant.truth()
     assert len(truth.pegs) == 2
+    assert truth.gave_way == {0}
     assert truth.contacts == ()
     for _ in range(300):
         plant.step((0, 0), (True, True), 0, True)
