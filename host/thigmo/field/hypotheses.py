@@ -28,9 +28,9 @@ PEG_UNKNOWNS, WALL_UNKNOWNS, SHARED_UNKNOWNS = 3, 4, 4
 FOLD, FRICTION, YIELD, BASE = -4, -3, -2, -1
 UNSIGNED = FRICTION, YIELD, BASE  # not negative
 
-# Friction of fabric and plastic film on what stands in a room is 0 to 0.6: two sigma.
-FRICTION_STD = 0.3
-_MOST_FRICTION = 4 * FRICTION_STD
+# Friction of fabric and plastic film on what stands in a room is 0 to 0.6, one as likely as the
+# other: a bell so wide is nearly even there.
+FRICTION_STD, _MOST_FRICTION = 0.6, 0.75
 _LEAST_BASE_ERROR = 1e-4  # lengths: a base that was measured exactly
 # Tube radii that an obstacle yields, one sigma, under a force at seven tenths of the longest body
 # that would fold its base: a cushion, a cable, a peg on a foot.

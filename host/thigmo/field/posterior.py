@@ -75,8 +75,8 @@ _SIGNS = np.array(list(product((1.0, -1.0), repeat=len(UNSIGNED))))
 _PLACES, _PAIRS, _ASIDE = 2, 4, 0.6
 _LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
 # Touches of a second peg beside the likeliest one: arcs over the longest body, bends over the
-# highest.
-_SECONDS = np.linspace(0.25, 1.05, 7), np.linspace(0.15, 0.95, 6)
+# highest. Between two ends there may be none of them, so the middle is tried as well.
+_SECOND_ARCS, _SECOND_BENDS = np.linspace(0.12, 1.05, 8), np.linspace(0.15, 0.95, 6)
 # Of the search for a wall: bends over the highest, tilts (rad) and reaches; and ways over the
 # longest body by which the likeliest one is tried to end short of the touch.
 _WALLS = np.linspace(0.1, 0.9, 6), (0.25, 0.6, 0.95, 1.3), (np.log(0.4),)
@@ -237,15 +237,17 @@ class Search:
             ]
         ]
         if peg is not None:
-            arcs, bends = _SECONDS
-            seconds = product(self.fit.longest * arcs, self.readings.bend.max() * bends)
+            lengths = np.unique([stage.length for stage in self.readings.stages])
+            between_ends = (lengths[1:] + lengths[:-1]) / 2
+            arcs = [*(self.fit.longest * _SECOND_ARCS), *between_ends]
+            seconds = product(arcs, self.readings.bend.max() * _SECOND_BENDS)
             known = peg[:PEG_UNKNOWNS]
             groups.append(
                 [np.array([*known, *second, RADIUS_MEAN, 0.0, *_LEAST]) for second in seconds]
             )
         radii = RADIUS, RADIUS + PEG_UNKNOWNS
-        likeliest = [self._likeliest(PEGS, starts, radii) for starts in groups]
-        solved = [self.fit.solve(PEGS, mode.q, mode.xi) for mode in likeliest if mode is not None]
+        likeliest = [mode for starts in groups for mode in self._likeliest(PEGS, starts, radii)]
+        solved = [self.fit.solve(PEGS, mode.q, mode.xi) for mode in likeliest]
         shown = [mode for mode in solved if self._shows(mode)]
         if not shown:
             return []
@@ -271,10 +273,10 @@ class Search:
             np.array([highest * bend, tilt, reach, AHEAD_MEAN, 0.0, *_LEAST])
             for bend, tilt, reach in product(bends, tilts, reaches)
         ]
-        best = self._likeliest(WALL, starts, ())
-        if best is None:
+        likeliest = self._likeliest(WALL, starts, ())
+        if not likeliest:
             return []
-        whole = self.fit.solve(WALL, best.q, best.xi)
+        whole = self.fit.solve(WALL, likeliest[0].q, likeliest[0].xi)
         modes, short = [whole], []
         for ahead in _SHORT:
             q = whole.q.copy()
@@ -297,8 +299,11 @@ class Search:
 
     def _likeliest(
         self, hypothesis: Hypothesis, starts: Sequence[Floats], held: tuple[int, ...]
-    ) -> Mode | None:
-        """The likeliest mode near starts, with what they share and q[held] as they have it."""
+    ) -> list[Mode]:
+        """Modes near the likeliest starts, likeliest first; q[held] are as these have it.
+
+        No fit crosses an end, so the best start between any two ends is followed first.
+        """
         rough = self._rough
         tried = []
         for q in starts:
@@ -306,14 +311,19 @@ class Search:
                 log, xi, _ = rough.evidence(rough.tables(hypothesis, q), rough.free(), passes=1)
                 tried.append((log + hypothesis.log_prior(q, rough.body), q, xi))
         tried.sort(key=lambda trial: -trial[0])
+        best: dict[tuple[int, ...], int] = {}
+        for n, (_, q, _) in enumerate(tried):
+            arcs = [row[ARC] for row in hypothesis.rows(q)[: hypothesis.pegs]]
+            best.setdefault(tuple(self.readings.ends_before(arc) for arc in arcs), n)
+        others = [n for n in range(len(tried)) if n not in best.values()]
         shared = tuple(range(hypothesis.unknowns - SHARED_UNKNOWNS, hypothesis.unknowns))
         first = [
             rough.solve(hypothesis, q, xi, passes=6, held=held + shared)
-            for _, q, xi in tried[:_PAIRS]
+            for _, q, xi in (tried[n] for n in [*best.values(), *others][:_PAIRS])
         ]
         first.sort(key=lambda mode: mode.cost)
         modes = [self.fit.solve(hypothesis, mode.q, passes=6, held=held) for mode in first[:2]]
-        return min(modes, key=lambda mode: mode.cost, default=None)
+        return sorted(modes, key=lambda mode: mode.cost)
 
     def laplace(self, mode: Mode) -> float:
         """Log evidence of a mode's hypothesis, were its posterior a bell."""

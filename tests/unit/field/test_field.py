@@ -316,14 +316,17 @@ def test_derivatives_by_two_pegs_and_by_a_wall(
 
 @pytest.mark.sim
 @pytest.mark.parametrize(
-    "pegs",
+    ("pegs", "explained_by"),
     [
-        [touched(24.0, 0.014, 0.8, RADIUS), touched(46.0, 0.009, 1.2, RADIUS)],
-        # Each is met at other lengths, and one peg between them leaves no more than is usual.
-        [Peg(34.5, 13.5, 1.0), Peg(43.0, 16.0, 1.0)],
+        ([touched(24.0, 0.014, 0.8, RADIUS), touched(46.0, 0.009, 1.2, RADIUS)], {"two pegs"}),
+        # Each is met at other lengths, and one peg between them leaves no more than is usual. A
+        # wall through both is as good: which of the two it is, five sensors do not say.
+        ([Peg(34.5, 13.5, 1.0), Peg(43.0, 16.0, 1.0)], {"two pegs", "wall"}),
     ],
 )
-def test_two_pegs_of_the_independent_rod_are_told_apart(pegs: list[Peg], atlas: Atlas) -> None:
+def test_two_pegs_of_the_independent_rod_are_no_peg_between_them(
+    pegs: list[Peg], explained_by: set[str], atlas: Atlas
+) -> None:
     first, second = pegs
     obstacles = Obstacles(
         np.array([[first.x, second.x]]), np.array([[first.y, second.y]]),
@@ -331,6 +334,8 @@ def test_two_pegs_of_the_independent_rod_are_told_apart(pegs: list[Peg], atlas: 
     )  # fmt: skip
     rows, swept = _among(obstacles, np.random.default_rng(5))
     answer = contacts(_readings(rows), _errors(), atlas)
+    likeliest = max(answer[0].explanations, key=answer[0].explanations.__getitem__)
+    assert likeliest in explained_by
     touched_pegs = []
     for contact in answer:
         touches = swept[contact.length_cm].contacts[-1, 0]
@@ -340,7 +345,7 @@ def test_two_pegs_of_the_independent_rod_are_told_apart(pegs: list[Peg], atlas: 
         touched_pegs.append(int(np.nanargmin(away)))
         nearest = off[touched_pegs[-1]]
         assert nearest @ np.linalg.solve(contact.covariance_cm2, nearest) < 9.0
-    assert sorted(touched_pegs) == [0, 1]
+    assert sorted(touched_pegs) == [0, 1] or likeliest == "wall"
 
 
 @pytest.mark.sim
