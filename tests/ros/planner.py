@@ -140,11 +140,9 @@ class Exploration:
 
     accepted = False
 
-    def __init__(self, node: Node, name: str, seconds: float) -> None:
-        from thigmo_ros.action import Explore  # the package, which one test has built
+    def __init__(self, client: ActionClient, seconds: float) -> None:
+        from thigmo_ros.action import Explore
 
-        client = ActionClient(node, Explore, name)
-        client.wait_for_server()
         goal = Explore.Goal(name="by-action", time=seconds)
         client.send_goal_async(goal, self._on_feedback).add_done_callback(self._on_accepted)
 
@@ -175,7 +173,17 @@ class Exploration:
         )  # fmt: skip
 
 
+def explorer(node: Node, name: str) -> ActionClient:
+    """The client of the action. One serves all goals, as in a planner."""
+    from thigmo_ros.action import Explore  # the package, which only some tests have built
+
+    client = ActionClient(node, Explore, name)
+    client.wait_for_server()
+    return client
+
+
 def obey(node: Node, namespace: str, stops: dict[str, Any]) -> None:
+    client: ActionClient | None = None
     explorations: list[Exploration] = []
     for line in sys.stdin:
         command, _, argument = line.strip().partition(" ")
@@ -183,7 +191,8 @@ def obey(node: Node, namespace: str, stops: dict[str, Any]) -> None:
             call(node, f"/{namespace}/{argument}")
             continue
         if command == "explore":
-            explorations.append(Exploration(node, f"/{namespace}/explore", float(argument)))
+            client = client or explorer(node, f"/{namespace}/explore")
+            explorations.append(Exploration(client, float(argument)))
             continue
         if command == "cancel":
             next(
