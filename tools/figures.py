@@ -462,7 +462,7 @@ LONG = (
     "camera",
 )
 # The rules were chosen while looking at rooms of the usual seed: the table has others.
-SEEDS = {"exploration": ("--seed", "43", "--most", "5")}
+SEEDS = {"exploration": ("--seed", "53", "--most", "5")}
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
     "number": _number_claims,
