@@ -37,7 +37,7 @@ from thigmo.exploration.map import best_contact, of_stage
 from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.obstacles import occupancy
 from thigmo.exploration.scoring import felt_pegs, from_line
-from thigmo.record import MapContact, RunDocument, TrueContact, Truth
+from thigmo.record import MapContact, RunDocument, TrueContact, TruePeg, Truth
 from thigmo.record.occupancy import FREE, OCCUPIED
 from thigmo.wiring import Wiring
 from thigmo_bench.studies import charts
@@ -187,14 +187,11 @@ class Explored:
             self.best_cm = nan if document.error_cm is None else document.error_cm
             self.samples = nan if best.fit_samples is None else best.fit_samples
             nearby = [t for t in truth.contacts if of_stage(t, best.everted_length_cm, best.side)]
-            covariance = np.array(best.covariance_cm2)
-            if nearby and np.linalg.det(covariance) > 0.0:
-                offsets = np.array([[t.x_cm - best.x_cm, t.y_cm - best.y_cm] for t in nearby])
-                squares = np.einsum("ni,in->n", offsets, np.linalg.solve(covariance, offsets.T))
+            if nearby and _has_ellipse(best):
                 self.ellipses = 1
-                self.ellipses_missed = int(squares.min() > _IN_ELLIPSE)
+                self.ellipses_missed = int(not any(_in_ellipse(best, true) for true in nearby))
         self._judge_pair(document.contacts, truth)
-        standing = self._judge_what_gave_way(document.contacts, truth)
+        others = self._judge_what_gave_way(document.contacts, truth)
         last = {contact.peg: contact for contact in truth.contacts}
         self.touched = len(last)
         self.touched_missed = sum(
@@ -206,11 +203,8 @@ class Explored:
         )
         pegs = [truth.pegs[peg] for peg in last]
         errors: list[float] = []
-        for contact in standing:
-            away = [
-                abs(hypot(contact.x_cm - p.x_cm, contact.y_cm - p.y_cm) - p.radius_cm) for p in pegs
-            ]
-            if min(away, default=np.inf) > _OFF_CM:
+        for contact in others:
+            if min((_from_surface(contact, peg) for peg in pegs), default=np.inf) > _OFF_CM:
                 self.far += 1
             else:
                 errors.append(_distance(contact, truth.contacts))
@@ -236,8 +230,9 @@ class Explored:
         ]
         self.pairs = int(bool(at_once))
         self.pairs_placed = int(any(
-            _holds(one, truth.contacts, first) and _holds(other, truth.contacts, second)
-            for one, other in permutations(contacts, 2)
+            _is_placed(contact, truth.contacts, first)
+            and _is_placed(further, truth.contacts, second)
+            for contact, further in permutations(contacts, 2)
             for first, second in at_once
         ))  # fmt: skip
 
@@ -249,12 +244,7 @@ class Explored:
         said: set[int] = set()
         others: list[MapContact] = []
         for contact in contacts:
-            near = {
-                number
-                for number, peg in enumerate(gone)
-                if abs(hypot(contact.x_cm - peg.x_cm, contact.y_cm - peg.y_cm) - peg.radius_cm)
-                <= _OFF_CM
-            }
+            near = {n for n, peg in enumerate(gone) if _from_surface(contact, peg) <= _OFF_CM}
             if contact.gave_way_per_cm is not None and near:
                 said |= near
             else:
@@ -271,19 +261,29 @@ def _distance(contact: MapContact, true_contacts: Sequence[TrueContact]) -> floa
     return min(away, default=np.inf)
 
 
-def _holds(contact: MapContact, true_contacts: Sequence[TrueContact], peg: int) -> bool:
+def _from_surface(contact: MapContact, peg: TruePeg) -> float:
+    """Distance of a contact from a peg's surface, cm."""
+    return abs(hypot(contact.x_cm - peg.x_cm, contact.y_cm - peg.y_cm) - peg.radius_cm)
+
+
+def _has_ellipse(contact: MapContact) -> bool:
+    return bool(np.linalg.det(np.array(contact.covariance_cm2)) > 0.0)
+
+
+def _in_ellipse(contact: MapContact, true: TrueContact) -> bool:
+    """Whether a contact's 95 % ellipse holds a true contact."""
+    off = np.array([true.x_cm - contact.x_cm, true.y_cm - contact.y_cm])
+    return float(off @ np.linalg.solve(np.array(contact.covariance_cm2), off)) <= _IN_ELLIPSE
+
+
+def _is_placed(contact: MapContact, true_contacts: Sequence[TrueContact], peg: int) -> bool:
     """Whether a contact is that with a peg: near its truth, which its 95 % ellipse holds."""
-    covariance = np.array(contact.covariance_cm2)
-    for true in true_contacts:
-        if true.peg == peg and of_stage(true, contact.everted_length_cm, contact.side):
-            off = np.array([true.x_cm - contact.x_cm, true.y_cm - contact.y_cm])
-            if (
-                np.linalg.det(covariance) > 0.0
-                and float(off @ np.linalg.solve(covariance, off)) <= _IN_ELLIPSE
-                and float(np.hypot(*off)) <= _BOTH_CM
-            ):
-                return True
-    return False
+    return _has_ellipse(contact) and any(
+        hypot(true.x_cm - contact.x_cm, true.y_cm - contact.y_cm) <= _BOTH_CM
+        and _in_ellipse(contact, true)
+        for true in true_contacts
+        if true.peg == peg and of_stage(true, contact.everted_length_cm, contact.side)
+    )
 
 
 class Mapped(NamedTuple):
