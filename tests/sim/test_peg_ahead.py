@@ -82,7 +82,7 @@ def test_zeros_that_moved_by_themselves_end_no_run(
             return None
         lever = np.maximum(34.0 - grown[-1].center_cm, 0.0)
         bend = np.where(grown[-1].bend_sign >= 0, 2e-4 * lever, np.nan)
-        return HeldBent(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, bend)
+        return HeldBent(40.0, 34.0, (33.0, 35.5), 3, 2e-4, 3e-4, False, bend)
 
     monkeypatch.setattr(run_knowledge, "detect_held_bent", moved)
     result = explore(room_file(tmp_path, scene_at(30.0)), seed=1, out=tmp_path)

@@ -52,7 +52,7 @@ def _sweep(
         SweepFrame(side, n / 20, 600 * abs(bend), bend, -way * held_at_rest)
         for n, bend in enumerate(bends.tolist())
     ]
-    curvature = np.repeat(bends[:, None], 10, axis=1)
+    curvature = np.repeat(bends[:, None], 10, axis=1) - way * held_at_rest
     peak = Peak(side, 4.0, length_cm, curvature[-1], bends[-1], 18.0, 0x3FF, 10)
     return SweepResult([], [peak], frames, curvature, sensors=0x3FF)
 
@@ -169,7 +169,8 @@ def test_a_side_whose_trigger_fired_is_unsure_until_the_fit_knows_a_contact(fits
     interpreter.take(sweep, 2)
     assert interpreter.felt_sides(sweep) == {"left"}
     assert interpreter.unsure_sides(sweep) == set()
-    caught = replace(sweep, frames=_sweep(held_at_rest=0.007).frames)
+    held = _sweep(held_at_rest=0.007)
+    caught = replace(sweep, frames=held.frames, curvature=held.curvature)
     assert interpreter.unsure_sides(caught) == set()
 
 

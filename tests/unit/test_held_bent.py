@@ -16,9 +16,11 @@ LENGTHS = np.linspace(30.0, 40.0, 120)
 _KNOWN = (0, 1, 5, 6)  # zeroed before, at 5 and 15 cm of either side
 
 
-def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) -> HeldBent | None:
+def _grown(
+    force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0, hung: float = 0.0
+) -> HeldBent | None:
     """A growth in which a peg at `met_cm` bends the body; `creep` moves the zeros only after it,
-    and `alone` moves that of one sensor meanwhile.
+    and `alone` moves that of one sensor meanwhile; `hung` is the bend at 15 cm from its start on.
     """
     rng = np.random.default_rng(3)
     before: Floats = np.full(10, np.nan)
@@ -27,6 +29,8 @@ def _grown(force: float, met_cm: float, creep: float = 0.0, alone: float = 0.0) 
     step = np.clip((LENGTHS - met_cm) / 1.0 + 0.5, 0.0, 1.0)[:, None]
     change = force * lever + alone * (np.arange(10) == _KNOWN[0])
     bent = step * change
+    hanging = hung * np.isin(np.arange(10), _KNOWN) * np.where(TABLE.center_cm < 10.0, 0.3, 1.0)
+    bent, change = bent + hanging, change + hanging
     readings = np.nan_to_num(before) + bent + rng.normal(0.0, 3e-4, bent.shape)
     after = np.nan_to_num(before) + change + creep
     return detect_held_bent(Profile(LENGTHS / 2.0, LENGTHS, readings), before, after, TABLE)
@@ -50,6 +54,17 @@ def test_a_straight_body_and_zeros_that_creep_are_no_lean() -> None:
 @pytest.mark.parametrize("moved", [8e-3, -8e-3])
 def test_a_zero_that_moves_alone_is_no_lean(moved: float) -> None:
     assert _grown(0.0, 34.0, alone=moved) is None
+
+
+@pytest.mark.parametrize("hung", [1e-2, -1e-2])
+def test_a_body_that_a_sweep_left_bent_hangs_where_its_end_was(hung: float) -> None:
+    growth = _grown(0.0, 34.0, hung=hung)
+    assert growth is not None
+    assert growth.hangs
+    assert growth.clear_cm < LENGTHS[0] - TABLE.radius_cm
+    leaning = _grown(2e-4, 34.0)
+    assert leaning is not None
+    assert not leaning.hangs
 
 
 def test_a_held_body_is_released_when_its_tip_is_clear_and_moved_zeros_are_not() -> None:

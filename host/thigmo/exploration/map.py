@@ -196,19 +196,38 @@ def of_stage(true: TrueContact, length_cm: float, side: str) -> bool:
     return near and true.side in ("", side)
 
 
+def true_touches(contact: MapContact, truth: Iterable[TrueContact]) -> list[TrueContact]:
+    """The true contacts that a contact may be.
+
+    Those at its stage; and those of its side at the other stages that felt it, of pegs that were
+    not touched at its own.
+    """
+    truth = list(truth)
+    here = [t for t in truth if of_stage(t, contact.everted_length_cm, contact.side)]
+    pegs = {true.peg for true in here}
+    elsewhere = [
+        true
+        for true in truth
+        if true.peg not in pegs
+        and any(of_stage(true, length_cm, contact.side) for length_cm in contact.merged)
+    ]
+    return here + elsewhere
+
+
 def errors(
     contacts: Sequence[MapContact], truth: Sequence[TrueContact]
 ) -> tuple[float | None, float | None]:
     """(|x error|, distance in the plane) of the best contact, cm; (None, None) without either.
 
-    It is compared with the true contact point on the robot's skin at the same stage's measurement;
-    of several, with the nearest.
+    It is compared with the true contact points on the robot's skin that it may be, and of several
+    with the nearest.
     """
     best = best_contact(contacts)
+    if best is None:
+        return None, None
     apart = [
         (abs(true.x_cm - best.x_cm), hypot(true.x_cm - best.x_cm, true.y_cm - best.y_cm))
-        for true in truth
-        if best and of_stage(true, best.everted_length_cm, best.side)
+        for true in true_touches(best, truth)
     ]
     return min(apart, key=lambda gap: gap[1], default=(None, None))
 

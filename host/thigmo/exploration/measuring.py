@@ -17,7 +17,7 @@ from scipy.ndimage import median_filter
 
 from thigmo.config import SIDES, SIGN, RobotConfig, Side
 from thigmo.field import fold_moment
-from thigmo.robot import TRIGGER_PER_CM, SweepFrame, SweepResult
+from thigmo.robot import TRIGGER_PER_CM, SensorTable, SweepFrame, SweepResult
 from thigmo.robot.curvature import Floats
 
 # Of the moment that folds the base. The slow sweep holds the base back farther than the fast one
@@ -26,25 +26,34 @@ _SHARE = 0.65
 # The body pressure is raised for so many times the moment, or more.
 _WORTH = 1.25
 _SMOOTH = 5  # frames, a quarter of a second
-# Since a touch, the base has given up at least this share of what the map has gone on.
-_GIVES_UP = 1 / 1.3
-# In emulated sweeps of straight bodies, also of wrong and noisy robots, the base is held back by
-# 0.0008 1/cm more than it has been bent; where the last side's bend had caught the tip, by 0.007.
-_CAUGHT_PER_CM = 0.003
+# A peg right beside a straight beam that is to bend by g takes 1.5 g at its base, and less anywhere
+# else: the beam's end stays where it is, which takes a force of 1.5 g EI over its lever.
+_MOST_TAKEN = 1.5
+# Standard errors of a reading by which a body that nothing holds may seem to be bent.
+_SIGMAS = 5.0
+_BENT_SENSORS = 2  # where so many are read: the zero of one may have moved by itself
 _LOWEST_PSI = 4.0  # the muscle's live zero and dead band end well below
 
 
-def caught_sides(sweep: SweepResult) -> set[Side]:
-    """Sides whose sweep began with a body that something held bent, such as a tip in a gap.
+def caught_sides(sweep: SweepResult, table: SensorTable) -> set[Side]:
+    """Sides whose sweep began with a body that something held bent.
 
-    A peg beside a straight body holds it back by what the muscle has bent it, and no more.
+    A tip in a gap, or a body that hangs on a peg which the last sweep slipped past. A peg beside a
+    straight body takes from its bend what it takes of the muscle's, and no more.
     """
     caught: set[Side] = set()
+    error = np.sqrt(np.diag(table.covariance))
     for side in SIDES:
-        free = np.array([abs(f.free_curvature) for f in sweep.frames if f.side == side])
-        held = curvature_deficit(sweep.frames, side)
-        excess = np.abs(held) - free[: len(held)] / _GIVES_UP
-        if np.count_nonzero(excess > _CAUGHT_PER_CM) >= _SMOOTH:
+        frames, readings = sweep.half(side)
+        use = table.usable(side, sweep.sensors) & np.isfinite(readings).all(axis=0)
+        if not frames or not use.any():
+            continue
+        free = np.array([frame.free_curvature for frame in frames])
+        rising = slice(0, int(np.argmax(SIGN[side] * free)) + 1)
+        held = median_filter(readings[rising, use] - free[rising, None], (_SMOOTH, 1))
+        beyond = np.abs(held) > _MOST_TAKEN * abs(free[rising, None]) + _SIGMAS * error[use]
+        bent = np.count_nonzero(beyond, axis=0) >= _SMOOTH
+        if np.count_nonzero(bent) >= min(_BENT_SENSORS, bent.size):
             caught.add(side)
     return caught
 

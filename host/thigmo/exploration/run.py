@@ -357,8 +357,15 @@ class Exploration:
         return "zeroed after growth"
 
     def _released(self) -> str:
-        """Whether the body was held bent, now that its tip is clear; the peg goes on the map."""
+        """Whether the body was held bent, now that its tip is clear.
+
+        A peg that bent the growth aside goes on the map; one that a sweep slipped past stands
+        beside the path of growth.
+        """
         if self._knowledge.released(self.robot.zeros()):
+            if self._knowledge.hangs:
+                self._knowledge.let_go()
+                return "straight again: grown once more"
             self._end_at_obstruction()
             return "straight again: peg ahead"
         self._knowledge.zeros_moved()
@@ -399,9 +406,8 @@ class Exploration:
             return "contact, thesis protocol" if touched else "no contact"
         placed = self._interpreter.placed_sides(looked)
         self._unplaced = (touched | self._interpreter.unsure_sides(looked)) - placed
-        if self._unplaced and self.planner.measures(
-            self._plan_ahead, self._stage_cm, self.robot.elapsed_s
-        ):
+        measures = self.planner.measures(self._plan_ahead, self._stage_cm, self.robot.elapsed_s)
+        if self._unplaced and measures and not self._interpreter.hangs(looked):
             return "contact"
         return "contact, and its place" if touched else "no contact"
 

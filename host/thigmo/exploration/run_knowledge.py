@@ -142,6 +142,16 @@ class RunKnowledge:
         """
         return isinstance(self.obstruction, HeldBent) and self.obstruction.released(*zeros)
 
+    @property
+    def hangs(self) -> bool:
+        """Whether the body hangs on a peg that a sweep slipped past."""
+        return isinstance(self.obstruction, HeldBent) and self.obstruction.hangs
+
+    @_step
+    def let_go(self) -> None:
+        """Wound in, the body no longer hangs on what a sweep slipped past."""
+        self.obstruction = None
+
     @_step
     def zeros_moved(self) -> None:
         """Nothing holds the body bent up to this length: the zeros have moved by themselves."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from thigmo.config import RobotConfig
 from thigmo.contact_status import POINT_ESTIMATE
-from thigmo.exploration.map import errors, of_stage
+from thigmo.exploration.map import errors, of_stage, true_touches
 from thigmo.exploration.obstacles import GONE, occupancy
 from thigmo.exploration.stall import Obstruction
 from thigmo.record import (
@@ -56,7 +56,7 @@ def judged(
         false = [
             FalseContact(index, contact.x_cm, contact.y_cm, _why_false(contact, known))
             for index, contact in enumerate(document.contacts)
-            if not any(_same(contact, true) for true in known)
+            if not any(_same(contact, true, known) for true in known)
         ]
     if prior:
         why = "its place was swept without being felt: it is gone, or the map given is wrong"
@@ -90,10 +90,11 @@ def true_obstruction(
 
 def felt_pegs(document: RunDocument) -> set[int]:
     """Indices of the room's pegs that some sweep's peak touched and that are on the map."""
+    truth = document.truth.contacts if document.truth else ()
     return {
         true.peg
-        for true in (document.truth.contacts if document.truth else ())
-        if any(_same(contact, true) for contact in document.contacts)
+        for true in truth
+        if any(_same(contact, true, truth) for contact in document.contacts)
     }
 
 
@@ -109,7 +110,7 @@ def from_line(line: Sequence[tuple[float, float]], x: float, y: float) -> float:
     return float(np.hypot(away[:, 0], away[:, 1]).min())
 
 
-def _same(contact: MapContact, true: TrueContact) -> bool:
+def _same(contact: MapContact, true: TrueContact, truth: Sequence[TrueContact]) -> bool:
     covariance = np.asarray(contact.covariance_cm2) + _FLOOR_CM**2 * np.eye(2)
     apart = np.array([contact.x_cm - true.x_cm, contact.y_cm - true.y_cm])
     if (
@@ -121,7 +122,7 @@ def _same(contact: MapContact, true: TrueContact) -> bool:
         return contact.side == true.side
     low, high = contact.interval_cm
     held = low - _FLOOR_CM <= true.arc_cm <= high + _FLOOR_CM
-    return held and of_stage(true, contact.everted_length_cm, contact.side)
+    return held and true in true_touches(contact, truth)
 
 
 def _why_missed(
@@ -168,7 +169,7 @@ def _why_missed(
 def _why_false(contact: MapContact, truth: Sequence[TrueContact]) -> str:
     if not contact.side and not contact.force_per_cm2:
         return "nothing stopped the tip: too little body pressure looks like an obstacle ahead"
-    touched = [t for t in truth if of_stage(t, contact.everted_length_cm, contact.side)]
+    touched = true_touches(contact, truth)
     if not touched:
         return "nothing touched there at the sweep's peak: an error of the map or of the sensors"
     away = min(float(np.hypot(t.x_cm - contact.x_cm, t.y_cm - contact.y_cm)) for t in touched)

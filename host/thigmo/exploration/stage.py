@@ -71,7 +71,7 @@ class Interpreter:
 
     def _readable_sides(self, sweep: SweepResult) -> list[Side]:
         """Sides with a peak that sensors read, before which nothing held the body bent."""
-        caught = caught_sides(sweep)
+        caught = caught_sides(sweep, self._table)
         readable = [peak.side for peak in sweep.peaks if self._use(peak).any()]
         return [side for side in dict.fromkeys(readable) if side not in caught]
 
@@ -104,6 +104,10 @@ class Interpreter:
             for fitted in self.map.fitted(side)
             if fitted.contact.probability > LIKELY and any(map(fitted.felt_at, lengths))
         ]
+
+    def hangs(self, sweep: SweepResult) -> bool:
+        """Whether the last side's sweep began with a body that something holds: it still does."""
+        return bool(sweep.frames) and sweep.frames[-1].side in caught_sides(sweep, self._table)
 
     def placed_sides(self, sweep: SweepResult) -> set[Side]:
         """Sides whose one contact is placed so well that it needs no measurement."""
@@ -213,7 +217,9 @@ class Interpreter:
         """The stage's entry in contacts.json."""
         verdicts = {answer.side: (answer.status, answer.message) for answer in answers}
         verdicts |= {
-            side: ("ambiguous", _CAUGHT) for side in caught_sides(sweep) if side not in verdicts
+            side: ("ambiguous", _CAUGHT)
+            for side in caught_sides(sweep, self._table)
+            if side not in verdicts
         }
         shapes = _swept_shapes(length_cm, body_pressure, sweep, self._wiring)
         return Stage(

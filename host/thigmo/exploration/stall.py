@@ -13,6 +13,10 @@ proportion to its lever, show that the body is held bent. It was bent as the tip
 the encoder gives that length. Wound in until its tip is clear of the peg, such a body straightens,
 and its zeros come back. Zeros that do not come back have moved by themselves.
 
+Or a sweep has slipped past a peg, and the vented body hangs on it from behind, with its end. Then
+the zeros of several sensors move, in no proportion to levers. Wound in until its end is off the
+peg, it straightens as well; the peg stands aside, so the growth is tried again.
+
 A tip can also be caught beside an obstacle that a sweep pressed it against: the vented body stays
 bent, and growth stalls at once. What stopped it is then where the readings put the tip.
 """
@@ -132,6 +136,7 @@ class HeldBent(Obstruction):
     """A peg on which the body leans while nothing inflates it."""
 
     curvature_se: float  # standard error of the bend, 1/cm
+    hangs: bool  # on a peg that a sweep slipped past: where is not known
     bend: Floats  # (10,) by how much the zeros moved, 1/cm; NaN where that says nothing
 
     @property
@@ -258,8 +263,9 @@ def detect_held_bent(
         count = int(use.sum())
         if count == 0:
             continue
-        together = way * float((moved[use] / table.noise[use]).sum()) / np.sqrt(count)
-        if together < _SIGMAS:
+        sigmas = moved[use] / table.noise[use]
+        several = np.count_nonzero(np.abs(sigmas) > _SIGMAS) > 1
+        if way * float(sigmas.sum()) / np.sqrt(count) < _SIGMAS:
             continue
         passing = _half_bent(length_cm, bend[:, use] - old_zeros[use], moved[use])
         if passing is None:
@@ -270,12 +276,15 @@ def detect_held_bent(
         if not lever.any():
             continue
         share = float(lever @ moved[use]) ** 2 / float(lever @ lever * (moved[use] @ moved[use]))
-        if share < _EXPLAINED:
+        hangs = share < _EXPLAINED
+        if hangs and not (several and passing <= length_cm[0]):
             continue
+        if hangs:
+            low, high = float(length_cm[0]) - table.radius_cm, float(length_cm[-1])
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))
         shown = np.where(use, moved, np.nan)
-        return HeldBent(float(length_cm[-1]), arc, (low, high), count, force, noise, shown)
+        return HeldBent(float(length_cm[-1]), arc, (low, high), count, force, noise, hangs, shown)
     return None
 
 

@@ -63,6 +63,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.ZERO, "drifting", State.SETTLE),
     Transition(State.ZERO, "held bent", State.BACK_OFF),
     Transition(State.ZERO, "straight again: peg ahead", State.FINISH),
+    Transition(State.ZERO, "straight again: grown once more", State.PLAN),
     Transition(State.ZERO, "as before: the zeros moved", State.PLAN),
     Transition(State.ZERO, "zeroed after growth", State.SWEEP),
     Transition(State.ZERO, "zeroed after sweep", State.PLAN),

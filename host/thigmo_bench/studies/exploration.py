@@ -33,7 +33,7 @@ from thigmo.emulator.reach import random_peg
 from thigmo.emulator.scene import PegTable, Scene
 from thigmo.errors import DataError, ThigmoError
 from thigmo.exploration.effort import EFFORTS, THESIS, Effort, within
-from thigmo.exploration.map import best_contact, of_stage
+from thigmo.exploration.map import best_contact, true_touches
 from thigmo.exploration.methods import FIELD, check_exploration_method
 from thigmo.exploration.obstacles import occupancy
 from thigmo.exploration.scoring import felt_pegs, from_line
@@ -186,7 +186,7 @@ class Explored:
             self.error_x_cm = nan if document.error_x_cm is None else document.error_x_cm
             self.best_cm = nan if document.error_cm is None else document.error_cm
             self.samples = nan if best.fit_samples is None else best.fit_samples
-            nearby = [t for t in truth.contacts if of_stage(t, best.everted_length_cm, best.side)]
+            nearby = true_touches(best, truth.contacts)
             if nearby and _has_ellipse(best):
                 self.ellipses = 1
                 self.ellipses_missed = int(not any(_in_ellipse(best, true) for true in nearby))
@@ -211,9 +211,8 @@ class Explored:
             if contact.status == "localized":
                 low, high = contact.interval_cm
                 held = any(
-                    of_stage(true, contact.everted_length_cm, contact.side)
-                    and low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM
-                    for true in truth.contacts
+                    low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM
+                    for true in true_touches(contact, truth.contacts)
                 )
                 self.contacts_localized += 1
                 self.sets_missed += not held
@@ -255,9 +254,9 @@ class Explored:
 
 
 def _distance(contact: MapContact, true_contacts: Sequence[TrueContact]) -> float:
-    """Distance in the plane to the nearest true contact of its stage, or of any; else infinity."""
-    nearby = [t for t in true_contacts if of_stage(t, contact.everted_length_cm, contact.side)]
-    away = [hypot(contact.x_cm - t.x_cm, contact.y_cm - t.y_cm) for t in nearby or true_contacts]
+    """Distance in the plane to the nearest true contact that it may be, or to any; else inf."""
+    nearby = true_touches(contact, true_contacts) or true_contacts
+    away = [hypot(contact.x_cm - t.x_cm, contact.y_cm - t.y_cm) for t in nearby]
     return min(away, default=np.inf)
 
 
@@ -281,8 +280,8 @@ def _is_placed(contact: MapContact, true_contacts: Sequence[TrueContact], peg: i
     return _has_ellipse(contact) and any(
         hypot(true.x_cm - contact.x_cm, true.y_cm - contact.y_cm) <= _BOTH_CM
         and _in_ellipse(contact, true)
-        for true in true_contacts
-        if true.peg == peg and of_stage(true, contact.everted_length_cm, contact.side)
+        for true in true_touches(contact, true_contacts)
+        if true.peg == peg
     )
 
 

@@ -20,7 +20,7 @@ from thigmo.design import draft
 from thigmo.emulator.reach import room_for
 from thigmo.emulator.scene import Scene
 from thigmo.errors import ThigmoError
-from thigmo.exploration.map import best_contact, of_stage
+from thigmo.exploration.map import best_contact, true_touches
 from thigmo.record import RunDocument, Truth
 from thigmo_bench.studies.engine import Claim, Context, Outcome, Record, share
 from thigmo_bench.studies.exploration import LENGTH_CM, Explored
@@ -105,19 +105,17 @@ class Visited(Explored):
         self.judge_place(document)
 
     def judge_place(self, document: RunDocument) -> None:
-        """Compare the run's best contact with the true points of its stage."""
+        """Compare the run's best contact with the true points that it may be."""
         best, truth = best_contact(document.contacts), document.truth or Truth()
         if best is None:
             return
-        stage_contacts = [
-            true for true in truth.contacts if of_stage(true, best.everted_length_cm, best.side)
-        ]
+        true_contacts = true_touches(best, truth.contacts)
         low, high = best.interval_cm
-        covered = any(low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM for true in stage_contacts)
+        covered = any(low - LENGTH_CM <= true.arc_cm <= high + LENGTH_CM for true in true_contacts)
         self.missed = len(document.contacts) == len(document.false or [])
         self.wrong = best.status == "localized" and not covered
         offsets = [
-            np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm]) for true in stage_contacts
+            np.array([true.x_cm - best.x_cm, true.y_cm - best.y_cm]) for true in true_contacts
         ]
         if nearest := sorted(offsets, key=np.linalg.norm)[:1]:
             self.plane_cm = float(np.linalg.norm(nearest[0]))
