@@ -42,6 +42,18 @@ def test_an_answer_is_held_against_the_ellipse_and_the_set() -> None:
     assert far.off_set
 
 
+def test_a_localized_contact_far_from_its_peg_is_wrong() -> None:
+    off = replace(CONTACT, interval_cm=(28.0, 29.0), x_cm=22.0)
+    assert _judged(TRUTH, off).wrong
+    assert not _judged(TRUTH, replace(off, places=False)).wrong
+    assert not _judged(TRUTH, replace(off, interval_cm=(24.0, 35.0))).wrong  # too wide
+    assert not _judged(TRUTH, replace(off, x_cm=21.0)).wrong  # nearer than a tube's radius
+    best = _judged(TRUTH, replace(off, places=False), CONTACT)
+    assert best.localized
+    assert best.error_cm == pytest.approx(0.5)
+    assert not _judged(TRUTH, replace(CONTACT, probability=0.4)).listed
+
+
 def test_missed_and_false_contacts_are_counted() -> None:
     empty = replace(TRUTH, peg=None, contact=None, touched=False)
     results = [_judged(TRUTH), _judged(empty), _judged(empty, CONTACT), _judged(TRUTH, CONTACT)]

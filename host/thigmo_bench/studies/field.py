@@ -16,6 +16,7 @@ from time import process_time
 import numpy as np
 
 from thigmo.config import RobotConfig
+from thigmo.contact_status import LIKELY, SURE, narrow
 from thigmo.emulator.scene import Scene
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
 from thigmo.wiring import Wiring
@@ -27,6 +28,10 @@ ELLIPSE = 5.99  # 95 % of chi-square with two degrees of freedom
 _BATCH = 4  # rooms that the rod solves side by side
 _BEND_MARGIN = 1.3  # bends of the atlas over the map's highest
 _LEAST_SAMPLES = 50.0
+RADIUS_CM = 1.75  # of the tube
+_ROOMS = 60  # of a kind, for which mistakes are promised
+
+_CALIBRATED = "as calibrated"
 
 Answer = Callable[[Sequence[Swept]], list[FieldContact]]
 """What the sweeps of the left side touched, best first."""
@@ -45,30 +50,45 @@ class Judged:
     error_cm: float = nan
     outside: bool = False  # of the 95 % ellipse
     off_set: bool = False  # the arc is not in the 95 % set along the body
-    places: bool = False
+    localized: bool = False
+    wrong: bool = False  # localized, the arc not in its set, and over a tube's radius away
     samples: float = nan  # effective
     misfit: float = nan
     time_s: float = nan  # processor time
 
 
 def judged(kind: str, seed: int, number: int, room: DrawnRoom, answer: Answer) -> Judged:
-    """Ask for an answer, and hold it against the room's truth."""
+    """Ask for an answer, and hold its likely contacts against the room's truth."""
     begun = process_time()
-    listed = answer([Swept(sweep, body_pressure) for sweep, body_pressure in room.sweeps])
+    answered = answer([Swept(sweep, body_pressure) for sweep, body_pressure in room.sweeps])
+    listed = [contact for contact in answered if contact.probability > LIKELY]
     time_s = process_time() - begun
     if not listed or room.contact is None or room.ended:
         return Judged(kind, seed, number, room.touched, bool(listed), time_s=time_s)
-    best = listed[0]
+    best = min(listed, key=lambda contact: (not _is_localized(contact), _width(contact)))
     arc, x, y = room.contact
     off = np.array([best.x_cm - x, best.y_cm - y])
     low, high = best.interval_cm
+    error_cm = float(np.linalg.norm(off))
+    off_set, localized = not low <= arc <= high, _is_localized(best)
     return Judged(
         kind, seed, number, room.touched, listed=True, judged=True,
-        error_cm=float(np.linalg.norm(off)),
+        error_cm=error_cm,
         outside=bool(off @ np.linalg.solve(best.covariance_cm2, off) > ELLIPSE),
-        off_set=not low <= arc <= high,
-        places=best.places, samples=best.effective, misfit=best.misfit, time_s=time_s,
+        off_set=off_set,
+        localized=localized, wrong=localized and off_set and error_cm > RADIUS_CM,
+        samples=best.effective, misfit=best.misfit, time_s=time_s,
     )  # fmt: skip
+
+
+def _width(contact: FieldContact) -> float:
+    return contact.interval_cm[1] - contact.interval_cm[0]
+
+
+def _is_localized(contact: FieldContact) -> bool:
+    """As an exploration calls it."""
+    sure = contact.probability >= SURE
+    return contact.places and sure and narrow(contact.interval_cm, LENGTHS_CM[-1])
 
 
 @cache
@@ -118,16 +138,31 @@ def _outcome(results: list[Judged]) -> Outcome:
     whole = _row("all kinds", results)
     worst = max((float(row["outside_percent"]) for row in rows if row["judged"]), default=nan)
     false = sum(result.listed and not result.touched for result in results)
+
+    def per_kind(column: str, *, calibrated: bool) -> float:
+        """The most of a kind, in 60 rooms."""
+        kinds = [row for row in rows if (row["kind"] == _CALIBRATED) == calibrated]
+        shares = (float(row[column]) / float(row["rooms"]) for row in kinds)
+        return _ROOMS * max(shares, default=nan)
+
     claims = [
         Claim("truth outside of the 95 % ellipse, all kinds", float(whole["outside_percent"]), 8.0,
               unit="%"),
         Claim("truth outside of the 95 % ellipse, worst kind", worst, 15.0, unit="%"),
+        Claim("localized wrong, as calibrated", per_kind("wrong", calibrated=True), 0.0,
+              unit="of 60"),
+        Claim("localized wrong, worst other kind", per_kind("wrong", calibrated=False), 1.0,
+              unit="of 60"),
+        Claim("truth outside of the 95 % set along the body, worst kind",
+              max(per_kind("off_set", calibrated=calibrated) for calibrated in (True, False)),
+              5.0, unit="of 60"),
         Claim("sides with a contact that touched nothing", float(false), 0.0, unit="sides"),
     ]  # fmt: skip
     rows.append(whole)
     return Outcome(
-        {"runs": [vars(result) for result in results], "rows": rows}, {}, claims, [], rows
-    )
+        {"runs": [vars(result) for result in results], "rows": rows},
+        {}, claims, [], rows,
+    )  # fmt: skip
 
 
 def _row(kind: str, results: list[Judged]) -> Record:
@@ -138,8 +173,9 @@ def _row(kind: str, results: list[Judged]) -> Record:
         "judged": len(right),
         "error_cm": float(np.mean([result.error_cm for result in right])) if right else nan,
         "outside_percent": 100 * share([result.outside for result in right]),
-        "off_set_percent": 100 * share([result.off_set for result in right]),
-        "places": sum(result.places for result in right),
+        "off_set": sum(result.off_set for result in right),
+        "localized": sum(result.localized for result in right),
+        "wrong": sum(result.wrong for result in right),
         "few_samples": sum(result.samples < _LEAST_SAMPLES for result in right),
         "missed": sum(result.touched and not result.listed for result in results),
         "false": sum(result.listed and not result.touched for result in results),
