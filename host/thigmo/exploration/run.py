@@ -53,7 +53,7 @@ from thigmo.stream import Contacts, Grid, Log, Posterior, RunState
 from thigmo.wiring import Wiring
 
 _MOST_ZERO_TRIES = 5
-
+_HANGS = "the body hangs on a peg that a sweep slipped past: it winds in until its end is free"
 _STAND_S = 0.5  # between two checks of it
 _PAUSE_S = 0.1
 
@@ -311,6 +311,8 @@ class Exploration:
                 truth.contacts if held_bent else true_obstruction(truth, obstruction, self.config)
             )
             self._note(truth=together([self.document.truth, Truth(truth.pegs, ahead)]))
+        if self._knowledge.hangs:
+            self.live.tell(Log, "info", _HANGS)
         clear_cm = obstruction.clear_cm if isinstance(obstruction, HeldBent) else self._start_cm
         retraction = self.robot.retract_to(min(self._start_cm, clear_cm))
         self.length_cm = retraction.length_cm
