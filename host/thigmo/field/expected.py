@@ -19,7 +19,7 @@ from thigmo.config import Side
 from thigmo.field.fit import FieldFit
 from thigmo.field.hypotheses import ARC, BEND, PEG, RADIUS_MEAN
 from thigmo.field.readings import Errors, Floats, Readings, Stage
-from thigmo.field.sweeps import fold_moment, stated
+from thigmo.field.sweeps import fold_moments, stated
 from thigmo.robot import FRAME_SPACING_S, SensorTable, rising_period_s
 from thigmo.wiring import Wiring
 
@@ -99,7 +99,7 @@ def expected_sweeps(wiring: Wiring, side: Side, lengths: Sequence[float]) -> Exp
         stages=tuple(stages),
         centers=centers,
         spans=spans,
-        fold_moment=np.array([fold_moment(config, p) for p in range(len(config.body.pressures))]),
+        fold_moment=fold_moments(config),
         radius=config.body.radius_cm,
     )
     errors = stated(wiring, side, use)

@@ -65,6 +65,11 @@ def fold_moment(config: RobotConfig, body_pressure: int) -> float:
     )
 
 
+def fold_moments(config: RobotConfig) -> Floats:
+    """(pressures,) of `fold_moment`."""
+    return np.array([fold_moment(config, n) for n in range(len(config.body.pressures))])
+
+
 def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings, Errors] | None:
     """Readings of a side's sweeps in their order, with their errors; None where there are none."""
     config, table, sign = wiring.config, SensorTable.laid_out(wiring), SIGN[side]
@@ -117,7 +122,7 @@ def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings,
         stages=stages,
         centers=table.center_cm[has_reading],
         spans=table.span_cm[has_reading],
-        fold_moment=np.array([fold_moment(config, p) for p in range(len(config.body.pressures))]),
+        fold_moment=fold_moments(config),
         radius=config.body.radius_cm,
         half_range=np.array([row.half_range for row in rows]),
         response=sign * np.array([row.response for row in rows]),

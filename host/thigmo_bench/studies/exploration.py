@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from itertools import combinations, permutations
 from math import hypot, nan, sqrt
 from time import process_time
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -66,11 +66,9 @@ class Kind:
     # relative standard deviation of the sensors' gains, which robot.toml does not state
     gains: float = 0.0
     noise: float = 1.0  # multiple of the scene's noise and calibration errors
-    peg: bool = True  # whether a peg stands in the room
-    more: bool = False  # whether there are up to two more pegs, for the map
-    wall: bool = False  # whether there is a wall instead
-    pair: bool = False  # whether the longest sweep of a side touches two pegs at once
-    slips: bool = False  # whether the body slips past the peg
+    # what stands in the room; two pegs are those that the longest sweep of a side touches at once,
+    # and a peg is slipped past in a full sweep at some length
+    stands: Literal["a peg", "pegs", "a wall", "two pegs", "a peg slipped past", ""] = "a peg"
     # whether the peg gives way for good, to a share of the force on it that would fold the base
     gives_way: bool = False
     # tail friction (psi/cm) at which growth stalls somewhere; None: the scene's
@@ -95,22 +93,22 @@ KINDS: dict[str, Kind] = {
     "bends 10 % more": Kind(20, bend=1.1),
     "gains 5 % off": Kind(20, gains=0.05),
     "gains 10 % off": Kind(20, gains=0.1),
-    MORE: Kind(80, more=True),
-    WALLS: Kind(240, wall=True, rubs=0.6),
-    STALLS: Kind(40, peg=False, friction=(0.006, 0.012)),
+    MORE: Kind(80, stands="pegs"),
+    WALLS: Kind(240, stands="a wall", rubs=0.6),
+    STALLS: Kind(40, stands="", friction=(0.006, 0.012)),
     "scene noisy": Kind(20, scene="noisy"),
-    "empty": Kind(20, peg=False),
-    "empty, scene noisy": Kind(20, scene="noisy", peg=False),
-    "empty, 4 times the noise": Kind(20, noise=4.0, peg=False),
+    "empty": Kind(20, stands=""),
+    "empty, scene noisy": Kind(20, scene="noisy", stands=""),
+    "empty, 4 times the noise": Kind(20, noise=4.0, stands=""),
     # Robots and rooms beside what a calibration states; their errors are drawn.
     "drawn errors": Kind(60, drawn=True),
     "friction to 0.6": Kind(60, rubs=0.6, drawn=True),
     "base turns to 0.05 rad": Kind(60, base_rad=0.05, drawn=True),
     "pegs yield to 1 cm": Kind(60, yields_cm=1.0, drawn=True),
     "round tip": Kind(60, round_tip=True, drawn=True),
-    PAIR: Kind(40, rubs=0.6, pair=True),
+    PAIR: Kind(40, stands="two pegs", rubs=0.6),
     GIVES_WAY: Kind(60, gives_way=True),
-    SLIPS: Kind(20, rubs=0.6, slips=True),
+    SLIPS: Kind(20, stands="a peg slipped past", rubs=0.6),
 }
 _OTHERS = tuple(name for name, kind in KINDS.items() if kind.bend != 1.0 or kind.gains)
 _NOISY = tuple(name for name in KINDS if "noisy" in name or "empty," in name or name == "empty")
@@ -351,18 +349,24 @@ def visit(room: Room) -> Run:
             muscle_map.deflate.amplitude *= kind.bend
         for sensor in scene.robot.column(side):
             sensor.rescale(1.0 / (1.0 + kind.gains * rng.standard_normal()))
-    scene.pegs = random_pegs(seed) if kind.more else random_wall(seed) if kind.wall else []
     if kind.friction is not None:
         scene.robot.body.growth_psi_per_cm = float(rng.uniform(*kind.friction))
     scene.body.friction = friction = float(rng.uniform(0.0, kind.rubs))
-    if kind.pair:
-        scene.pegs = random_pair(seed, friction)
-    elif kind.slips:
-        scene.pegs = [random_slipped(seed, friction)]
-    elif kind.peg and not scene.pegs:
-        peg, _ = random_peg(scene.robot, rng, radius=RADII_CM)
-        explored.x_cm, explored.y_cm, explored.radius_cm = peg.x, peg.y, peg.radius
-        scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
+    match kind.stands:
+        case "a peg":
+            peg, _ = random_peg(scene.robot, rng, radius=RADII_CM)
+            explored.x_cm, explored.y_cm, explored.radius_cm = peg.x, peg.y, peg.radius
+            scene.pegs = [PegTable(x=peg.x, y=peg.y, radius=peg.radius)]
+        case "pegs":
+            scene.pegs = random_pegs(seed)
+        case "a wall":
+            scene.pegs = random_wall(seed)
+        case "two pegs":
+            scene.pegs = random_pair(seed, friction)
+        case "a peg slipped past":
+            scene.pegs = [random_slipped(seed, friction)]
+        case "":
+            scene.pegs = []
     critical = scene.robot.body.critical_curvature
     scene.body.base_compliance_cm = float(rng.uniform(0.0, kind.base_rad)) / critical
     for table in scene.pegs:
@@ -388,7 +392,7 @@ def visit(room: Room) -> Run:
         return explored, None
     explored.processor_s = process_time() - began_s
     explored.judge(document)
-    return explored, judge_map(document) if kind.peg else None
+    return explored, judge_map(document) if kind.stands else None
 
 
 def _effort(setting: str, config: RobotConfig) -> Effort:
@@ -640,7 +644,7 @@ def _claims(explored: list[Explored]) -> list[Claim]:
     walls, stalls, several = of_kinds(WALLS), of_kinds(STALLS), of_kinds(MORE)
     sides = [room for room in of_kinds(PAIR) if room.pairs]
     gone = [room for room in of_kinds(GIVES_WAY) if room.gave_way]
-    standing = [room for room in explored if KINDS[room.kind].peg and not room.gave_way]
+    standing = [room for room in explored if KINDS[room.kind].stands and not room.gave_way]
     pegs = of_kinds(TRUE, *_OTHERS)
     noisy = share([room.far > 0 for room in of_kinds(*_NOISY)])
     held = per(60, walls, "contacts_localized") - per(60, walls, "contacts_wrong")
