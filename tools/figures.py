@@ -232,15 +232,20 @@ _ROBOT_COLUMNS = (
 )
 
 
+def _by_columns(columns: Sequence[tuple[str, str, str]], rows: list[dict[str, Any]]) -> list[Grid]:
+    """A study's rows by columns of a heading, a key and a format; what is unknown is empty."""
+    cells = [
+        tuple("" if row[key] is None else f"{row[key]:{digits}}" for _, key, digits in columns)
+        for row in rows
+    ]
+    return [Grid(tuple(head for head, _, _ in columns), cells)]
+
+
 def _robots(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a robot; those of the gallery have what `thigmo robot check` says of their file."""
     (study,) = studies
     columns = [column for column in _ROBOT_COLUMNS if column[1] in study["rows"][0]]
-    rows = [
-        tuple("" if row[key] is None else f"{row[key]:{digits}}" for _, key, digits in columns)
-        for row in study["rows"]
-    ]
-    return [Grid(tuple(head for head, _, _ in columns), rows)]
+    return _by_columns(columns, study["rows"])
 
 
 _FIELD_COLUMNS = (
@@ -256,13 +261,7 @@ _FIELD_COLUMNS = (
 def _field(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a kind of error."""
     (study,) = studies
-    rows = [
-        tuple(
-            "" if row[key] is None else f"{row[key]:{digits}}" for _, key, digits in _FIELD_COLUMNS
-        )
-        for row in study["rows"]
-    ]
-    return [Grid(tuple(head for head, _, _ in _FIELD_COLUMNS), rows)]
+    return _by_columns(_FIELD_COLUMNS, study["rows"])
 
 
 _MAP_COLUMNS = (
@@ -279,10 +278,7 @@ _MAP_COLUMNS = (
 def _maps(studies: list[dict[str, Any]]) -> list[Grid]:
     """A row a map that was given."""
     (study,) = studies
-    rows = [
-        tuple(f"{row[key]:{digits}}" for _, key, digits in _MAP_COLUMNS) for row in study["rows"]
-    ]
-    return [Grid(tuple(head for head, _, _ in _MAP_COLUMNS), rows)]
+    return _by_columns(_MAP_COLUMNS, study["rows"])
 
 
 def _notes(study: dict[str, Any]) -> list[Row]:

@@ -50,6 +50,12 @@ class FittedContact:
         return 0.5 * (edges[1:] + edges[:-1]), np.diff(below)
 
 
+def is_localized(contact: FieldContact, length_cm: float) -> bool:
+    """Whether a contact of the fit counts as localized on a body of this whole length."""
+    sure = narrow(contact.interval_cm, length_cm)
+    return contact.places and sure and contact.probability >= SURE
+
+
 class SideFits:
     """Fits to the sweeps of each side so far.
 
@@ -116,8 +122,7 @@ class SideFits:
         sign = SIGN[side]
         mirror = np.diag([1.0, sign])
         (xx, xy), (yx, yy) = (mirror @ contact.covariance_cm2 @ mirror).tolist()
-        sure = narrow(contact.interval_cm, self._config.body.length_cm)
-        localized = contact.places and sure and contact.probability >= SURE
+        localized = is_localized(contact, self._config.body.length_cm)
         force = -sign * contact.force_per_cm2
         gave_way = ""
         if contact.gave_way_at is not None:

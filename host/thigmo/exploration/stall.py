@@ -50,7 +50,7 @@ _ONSET_CM = 1.0  # a fold that has entered a sensor by less may go unseen
 # held bent; what remains of an eversion's creep is less.
 _SIGMAS = 4.0
 # A peg that holds the body bent moves every zero by its lever. Less than this share of their
-# squares explained is a sensor that moved alone.
+# squares explained is a sensor that moved alone, or a body that hangs.
 _EXPLAINED = 0.8
 # Of what stops a growth, before anything is known: an obstacle against too little pressure, and of
 # obstacles the share of walls, by themselves and where a known wall leads there.
@@ -264,7 +264,6 @@ def detect_held_bent(
         if count == 0:
             continue
         sigmas = moved[use] / table.noise[use]
-        several = np.count_nonzero(np.abs(sigmas) > _SIGMAS) > 1
         if way * float(sigmas.sum()) / np.sqrt(count) < _SIGMAS:
             continue
         passing = _half_bent(length_cm, bend[:, use] - old_zeros[use], moved[use])
@@ -277,9 +276,10 @@ def detect_held_bent(
             continue
         share = float(lever @ moved[use]) ** 2 / float(lever @ lever * (moved[use] @ moved[use]))
         hangs = share < _EXPLAINED
-        if hangs and not (several and passing <= length_cm[0]):
-            continue
         if hangs:
+            several = np.count_nonzero(np.abs(sigmas) > _SIGMAS) > 1
+            if not several or passing > length_cm[0]:
+                continue  # a sensor that moved alone, or something that came as the body grew
             low, high = float(length_cm[0]) - table.radius_cm, float(length_cm[-1])
         force = float(lever @ moved[use] / (lever @ lever))
         noise = float(table.noise[use].mean() / np.sqrt(count))

@@ -16,8 +16,9 @@ from time import process_time
 import numpy as np
 
 from thigmo.config import RobotConfig
-from thigmo.contact_status import LIKELY, SURE, narrow
+from thigmo.contact_status import LIKELY
 from thigmo.emulator.scene import Scene
+from thigmo.exploration.fitted import is_localized
 from thigmo.field import Atlas, FieldContact, Swept, contacts, read
 from thigmo.wiring import Wiring
 from thigmo_bench.studies.drawn import KINDS, DrawnRoom, rooms
@@ -86,9 +87,7 @@ def _width(contact: FieldContact) -> float:
 
 
 def _is_localized(contact: FieldContact) -> bool:
-    """As an exploration calls it."""
-    sure = contact.probability >= SURE
-    return contact.places and sure and narrow(contact.interval_cm, LENGTHS_CM[-1])
+    return is_localized(contact, LENGTHS_CM[-1])
 
 
 @cache
