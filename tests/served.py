@@ -6,6 +6,7 @@ wall clock, and a promise such as "off within half a second" can still be checke
 
 from __future__ import annotations
 
+import select
 import threading
 import time
 from collections.abc import Callable
@@ -16,7 +17,9 @@ from port_holder import PortHolder
 from thigmo.emulator import serve
 from thigmo.emulator.lockstep import Lockstep
 from thigmo.emulator.plant import STEP_S
+from thigmo.link.framing import Decoder
 from thigmo.link.heartbeat import PERIOD_S
+from thigmo.link.protocol import Heartbeat, Stop
 
 # A host that arms the robot on the port that it is given, sweeps and says so; and one that then
 # stays.
@@ -33,6 +36,7 @@ client.request(wire.Sweep((1200, 0), 24_000, 1, 0))
 print("sweeping", flush=True)
 """
 LIVE = SWEEP + "client.wait_for(lambda: False, 60.0)"
+_LATEST_S = 5.0  # of real time, for a heartbeat of a host that lives on a computer that hangs
 EVER_S = 120.0  # of real time: what has not come by then never will
 
 
@@ -52,7 +56,7 @@ class _PatientServer(serve.PtyServer):
     running.
 
     Attributes:
-        patient: whether it also stands still rather than that the host falls silent; not for a
+        patient: whether it also stands still rather than that the heartbeat stays away; not for a
             host that was ended.
         slow_s: of real time, to add to each step: what then takes long is the robot's, and not this
             computer's.
@@ -60,30 +64,52 @@ class _PatientServer(serve.PtyServer):
 
     patient = True
     slow_s = 0.0
-    _heard_s: float | None = None  # by the robot's clock, since the port was opened
+    _beat_s: float | None = None  # of the last heartbeat, by the robot's clock; None: none is due
 
     def __init__(self, lockstep: Lockstep, *, reset_on_open: bool) -> None:
         super().__init__(lockstep, reset_on_open=reset_on_open)
         self._holder = PortHolder(self.path)
+        self._taken = bytearray()  # from the port, not yet by the board
+        self._frames = Decoder()
 
     def _exchange(self) -> None:
         until = time.monotonic() + EVER_S
         while self._opened and self._holder.held_up() and time.monotonic() < until:
             time.sleep(STEP_S / 2)
         if not self._opened:
-            self._heard_s = None
-        elif self._heard_s is not None and self.lockstep.t_s - self._heard_s > 2 * PERIOD_S:
-            while self.patient and not self._poll.poll(20) and time.monotonic() < until:
-                pass
+            self._beat_s = None
+        elif self._beat_s is not None and self.lockstep.t_s - self._beat_s > 2 * PERIOD_S:
+            self._await_heartbeat()
         if self.slow_s:
             time.sleep(self.slow_s)
         super()._exchange()
 
+    def _await_heartbeat(self) -> None:
+        """Read on until a heartbeat or a stop comes, or the port is closed.
+
+        Commands alone are not enough: one thread of the host's port process may stand still, with
+        the processor that it waits for, while another passes them on.
+        """
+        overdue_s, until = self._beat_s, time.monotonic() + _LATEST_S
+        while self.patient and self._beat_s == overdue_s and time.monotonic() < until:
+            if dict(self._poll.poll(20)).get(self._master, 0) & select.POLLHUP:
+                return
+            self._taken += self._from_port()
+        if self._beat_s == overdue_s:
+            self._beat_s = None  # this host has fallen silent
+
     def _take(self) -> bytes:
+        data = bytes(self._taken) + self._from_port()
+        self._taken.clear()
+        return data
+
+    def _from_port(self) -> bytes:
         data = super()._take()
         if data:
             self._holder.look()
-            self._heard_s = self.lockstep.t_s
+        for frame in self._frames.feed(data):
+            if frame.id in (Heartbeat.ID, Stop.ID):
+                self._beat_s = self.lockstep.t_s
         return data
 
 

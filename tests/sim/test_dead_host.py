@@ -27,13 +27,29 @@ LIMIT_S = 0.6  # of silence, and one period of the heart
 Host = subprocess.Popen[bytes]
 Start = Callable[[str], Host]
 
-# A lease of another length, in seconds, while an output is energised.
-LEASE = """
+# A host whose port is held by another program than `port_process`.
+PORTED = """
 import subprocess
-process = "import thigmo.link.port_process as p; p.ENERGISED_LEASE_S = {}; p.main()"
+process = {!r}
 real = subprocess.Popen
 subprocess.Popen = lambda command, **o: real([command[0], "-c", process, *command[3:]], **o)
 """
+# A lease of another length, in seconds, while an output is energised.
+LEASE = PORTED.format(
+    "import thigmo.link.port_process as p; p.ENERGISED_LEASE_S = {}; p.main()",
+)
+# The thread that beats stands still for two seconds, as with the processor that it waits for; the
+# one that passes commands on does not.
+LATE_BEATS = PORTED.format("""
+import thigmo.link.port_process as p
+beat, late_s = p.HeartbeatSource.beat, []
+def late(source, now_s):
+    if source.counter < 20 or late_s and now_s > late_s[0] + 2.0:
+        return beat(source, now_s)
+    late_s.append(now_s)
+p.HeartbeatSource.beat = late
+p.main()
+""")
 # Wakes up as if nothing had happened, and learns why it may not.
 CARRIES_ON = (
     SWEEP
@@ -72,6 +88,14 @@ report = client.request(wire.GetStatus())
 print(report.state.key, report.activity.key, report.faults)
 """
 )
+ASKS = """
+import time
+until = time.monotonic() + 5.0
+while time.monotonic() < until:
+    client.poll(0.02)
+    faults = client.request(wire.GetStatus()).faults
+print(faults)
+"""
 
 
 @pytest.fixture
@@ -210,6 +234,14 @@ def test_a_run_that_is_well_grows_for_as_long_as_it_takes(robot: ServedRobot, st
     start(GROW)
     assert comes(lambda: robot.plant.length_cm > 24.0)
     assert not robot.off
+
+
+def test_a_robot_that_is_served_waits_for_a_heartbeat_that_its_computer_delays(
+    robot: ServedRobot,
+) -> None:
+    command = [sys.executable, "-c", LATE_BEATS + SWEEP + ASKS, robot.port]
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    assert done.stdout.split() == [b"sweeping", b"0"]
 
 
 def refused_for(host: Host, reason: wire.Reason) -> bool:

@@ -121,11 +121,10 @@ class PtyServer:
             if self._reset_on_open:
                 board.reset(int(ResetCause.EXTERNAL))
         self._opened = opened
-        if events & select.POLLIN:
-            data = self._take()
-            if data and not self.lockstep.faults.host_silent:
-                board.write(data)
-                self._set_regulator(data)
+        data = self._take()
+        if data and not self.lockstep.faults.host_silent:
+            board.write(data)
+            self._set_regulator(data)
         self.lockstep.advance()
         if self._fibre is not None:
             self._fibre.exchange()
@@ -146,7 +145,7 @@ class PtyServer:
                 self.lockstep.plant.set_body_pressure(pressures[body_pressure].pressure_psi)
 
     def _take(self) -> bytes:
-        with suppress(OSError):  # closed between poll and read
+        with suppress(OSError):  # nothing has come, or nobody has it open
             return os.read(self._master, 4096)
         return b""
 
