@@ -45,6 +45,8 @@ class Mechanics:
     """S bodies; every array has shape (S,)."""
 
     length: float  # everted
+    # of the whole body, along which it is uneven: that stays where it is as the body grows
+    whole: float
     radius: float  # of the tube
     critical: Floats  # moment at which the base folds
     friction: Floats  # coefficient between skin and obstacles
@@ -57,14 +59,14 @@ class Mechanics:
 
     @classmethod
     def ideal(cls, count: int, *, length: float, radius: float, critical: float) -> Mechanics:
-        """`count` bodies alike, without any of what is not ideal."""
+        """`count` bodies alike, wholly everted, without any of what is not ideal."""
         nothing = np.zeros(count)
-        return cls(length, radius, np.full(count, critical), *[nothing] * 7)
+        return cls(length, length, radius, np.full(count, critical), *[nothing] * 7)
 
     def take(self, rooms: npt.NDArray[np.intp]) -> Mechanics:
         """Some of the bodies, or the same ones several times."""
         return Mechanics(
-            self.length, self.radius,
+            self.length, self.whole, self.radius,
             *(
                 value[rooms]
                 for value in (
@@ -76,16 +78,16 @@ class Mechanics:
 
     def stiffness(self, arc: Floats) -> Floats:
         """(S,) at arcs (S,), over EI at the base of an even body."""
-        wave = np.sin(2.0 * math.pi * _WAVES * arc / self.length + self.phase)
-        stiffness: Floats = (1.0 - self.taper * arc / self.length) * (
+        wave = np.sin(2.0 * math.pi * _WAVES * arc / self.whole + self.phase)
+        stiffness: Floats = (1.0 - self.taper * arc / self.whole) * (
             1.0 + self.stiffness_wave * wave
         )
         return stiffness
 
     def evenness(self, arc: Floats) -> Floats:
-        """(S,) free curvature at arcs (S,) over its mean along the body."""
+        """(S,) free curvature at arcs (S,) over its mean along the whole body."""
         turn = 2.0 * math.pi * _WAVES
-        wave = np.sin(turn * arc / self.length + self.phase)
+        wave = np.sin(turn * arc / self.whole + self.phase)
         mean = (np.cos(self.phase) - np.cos(turn + self.phase)) / turn
         evenness: Floats = 1.0 + self.bend_wave * (wave - mean)
         return evenness
