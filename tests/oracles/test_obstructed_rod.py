@@ -158,6 +158,14 @@ def test_uneven_bodies_end_up_elsewhere(unknown: str) -> None:
     assert np.nanmax(np.abs(truth.readings - uneven.readings)) > 1e-4
 
 
+def test_what_is_uneven_stays_where_it_is_as_the_body_grows() -> None:
+    share = np.full(COUNT, 0.2)
+    whole = replace(IDEAL, taper=share, stiffness_wave=share, bend_wave=share, phase=np.arange(4.0))
+    arc, shorter = np.full(COUNT, 0.6 * LENGTH), replace(whole, length=0.8 * LENGTH)
+    assert shorter.stiffness(arc) == pytest.approx(whole.stiffness(arc))
+    assert shorter.evenness(arc) == pytest.approx(whole.evenness(arc))
+
+
 def test_an_uneven_body_has_the_mean_bend_of_its_muscle() -> None:
     uneven = replace(IDEAL, bend_wave=np.full(COUNT, 0.2), phase=np.arange(4.0))
     nothing = Obstacles.pegs(*np.full((3, COUNT), np.nan))
