@@ -12,6 +12,7 @@ from thigmo.field.answer import (
     EARLY_WORDS,
     RIVAL_WORDS,
     UNEXPLAINED_WORDS,
+    UNMODELLED,
     _doubt,
     _face,
     _placed,
@@ -110,8 +111,8 @@ def test_samples_that_are_a_quarter_of_enough_place_half_as_well() -> None:
     even[:12] = 1 / 12
     few = replace(many, weight=even)
     known = np.cov(few.touch[:12, 1, 0, 1:3].T, bias=True)
-    assert _spread([few]) == pytest.approx(np.sqrt(50 / 12 * np.diag(known)))
-    assert _spread([many]) == pytest.approx(many.touch[:, 1, 0, 1:3].std(axis=0))
+    assert _spread([few]) == pytest.approx(UNMODELLED * np.sqrt(50 / 12 * np.diag(known)))
+    assert _spread([many]) == pytest.approx(UNMODELLED * many.touch[:, 1, 0, 1:3].std(axis=0))
 
 
 def test_an_explanation_that_is_as_likely_counts_with_its_own_place() -> None:
@@ -122,8 +123,8 @@ def test_an_explanation_that_is_as_likely_counts_with_its_own_place() -> None:
         peg, hypothesis=PEGS, q=np.zeros((200, PEGS.unknowns)),
         touch=np.concatenate([far, apart], axis=2),
     )  # fmt: skip
-    x, y = peg.touch[:, 1, 0, 1:3].std(axis=0)
-    assert _spread([peg, pegs]) == pytest.approx(np.sqrt([x**2 + 9.0 / 2, y**2]))
+    x, y = UNMODELLED * peg.touch[:, 1, 0, 1:3].std(axis=0)
+    assert _spread([peg, pegs]) == pytest.approx(np.sqrt([x**2 + UNMODELLED**2 * 9.0 / 2, y**2]))
     unlikely = replace(pegs, log_evidence=peg.log_evidence - 20.0)
     assert _spread([peg, unlikely]) == pytest.approx([x, y], rel=1e-3)
 
