@@ -25,7 +25,7 @@ from thigmo.field.hypotheses import (
     Body,
 )
 from thigmo.field.posterior import ENOUGH, Samples, Search
-from thigmo.field.readings import Errors, Floats, Indices, Readings
+from thigmo.field.readings import Errors, Flags, Floats, Indices, Readings
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
 LEAST_GAIN = 3.0
@@ -306,8 +306,9 @@ def _placed(
     # What the model leaves beyond that is taken for more noise; and few samples that agree are as
     # much too narrow as they are too few.
     wider = max(UNMODELLED, leaves) * max(1.0, ENOUGH / samples.effective) ** 0.5
-    # On the end, its shape adds to the errors: a round one touches farther back.
-    end = float(mass @ (place[:, 0] > length - _END * readings.radius))
+    # What the end touched, or just missed, at any stop: its shape adds to the errors, since a round
+    # one touches farther back.
+    end = float(mass @ _at_an_end(place[:, 0], readings))
     by_shape = _END * readings.radius * end
     interval = (
         max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM - by_shape, 0.0),
@@ -361,6 +362,17 @@ def _placed(
         yield_cm=float(weight @ (samples.compliance[weighed] * np.abs(force))),
         gave_way_at=samples.gave_way_at,
     )
+
+
+def _at_an_end(arcs: Floats, readings: Readings) -> Flags:
+    """Whether touches at arcs (n,) are where a stop's end is, round or flat, or just beyond it.
+
+    Beyond, a peg of the tube's radius at most reaches back to the corner of a flat end.
+    """
+    ends = np.array([stage.length for stage in readings.stages])
+    beyond = (arcs[:, None] - ends) / (_END * readings.radius)
+    at_an_end: Flags = ((beyond > -1.0) & (beyond < 2.0)).any(axis=1)
+    return at_an_end
 
 
 def _first_bend(readings: Readings, stages: Indices) -> float:

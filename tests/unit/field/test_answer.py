@@ -13,6 +13,7 @@ from thigmo.field.answer import (
     RIVAL_WORDS,
     UNEXPLAINED_WORDS,
     UNMODELLED,
+    _at_an_end,
     _doubt,
     _face,
     _placed,
@@ -113,6 +114,14 @@ def test_samples_that_are_a_quarter_of_enough_place_half_as_well() -> None:
     known = np.cov(few.touch[:12, 1, 0, 1:3].T, bias=True)
     assert _spread([few]) == pytest.approx(UNMODELLED * np.sqrt(50 / 12 * np.diag(known)))
     assert _spread([many]) == pytest.approx(UNMODELLED * many.touch[:, 1, 0, 1:3].std(axis=0))
+
+
+def test_a_touch_near_any_stops_end_may_be_farther_back() -> None:
+    """A flat end reaches a peg beside it sooner than a round one does."""
+    radius = _readings().radius
+    ends = np.array([stage.length for stage in STAGES])
+    near = np.array([ends[0] - 0.9 * radius, ends[0] + 1.9 * radius, ends[0] - 1.1 * radius])
+    assert _at_an_end(near, _readings()).tolist() == [True, True, False]
 
 
 def test_an_explanation_that_is_as_likely_counts_with_its_own_place() -> None:
