@@ -29,7 +29,7 @@ from thigmo.wiring import Wiring
 _SHAPES_A_SIDE = 12
 _AVERAGED = 5  # frames behind a shape, a quarter of a second
 # Width of a 95 % interval, in diameters of the tube, below which a side is not measured again.
-ENOUGH = 3.0 / 3.5
+ENOUGH = 1.2
 _CAUGHT = "the body was held bent before the muscle bent it: its tip is caught, place unknown"
 _NO_TOUCH = "no obstacle explains these sweeps better than noise, or a map that bends too much"
 
