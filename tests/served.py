@@ -69,7 +69,6 @@ class _PatientServer(serve.PtyServer):
     def __init__(self, lockstep: Lockstep, *, reset_on_open: bool) -> None:
         super().__init__(lockstep, reset_on_open=reset_on_open)
         self._holder = PortHolder(self.path)
-        self._taken = bytearray()  # from the port, not yet by the board
         self._frames = Decoder()
 
     def _exchange(self) -> None:
@@ -94,16 +93,11 @@ class _PatientServer(serve.PtyServer):
         while self.patient and self._beat_s == overdue_s and time.monotonic() < until:
             if dict(self._poll.poll(20)).get(self._master, 0) & select.POLLHUP:
                 return
-            self._taken += self._from_port()
+            self._hear()
         if self._beat_s == overdue_s:
             self._beat_s = None  # this host has fallen silent
 
     def _take(self) -> bytes:
-        data = bytes(self._taken) + self._from_port()
-        self._taken.clear()
-        return data
-
-    def _from_port(self) -> bytes:
         data = super()._take()
         if data:
             self._holder.look()

@@ -121,10 +121,8 @@ class PtyServer:
             if self._reset_on_open:
                 board.reset(int(ResetCause.EXTERNAL))
         self._opened = opened
-        data = self._take()
-        if data and not self.lockstep.faults.host_silent:
-            board.write(data)
-            self._set_regulator(data)
+        if events & select.POLLIN:
+            self._hear()
         self.lockstep.advance()
         if self._fibre is not None:
             self._fibre.exchange()
@@ -133,6 +131,13 @@ class PtyServer:
             self._out.clear()
         elif self._out:
             self._give()
+
+    def _hear(self) -> None:
+        """The bytes that have come, to the board."""
+        data = self._take()
+        if data and not self.lockstep.faults.host_silent:
+            self.lockstep.board.write(data)
+            self._set_regulator(data)
 
     def _set_regulator(self, data: bytes) -> None:
         """The body pressure that the host names, if it does."""
@@ -145,7 +150,7 @@ class PtyServer:
                 self.lockstep.plant.set_body_pressure(pressures[body_pressure].pressure_psi)
 
     def _take(self) -> bytes:
-        with suppress(OSError):  # nothing has come, or nobody has it open
+        with suppress(OSError):  # closed between poll and read
             return os.read(self._master, 4096)
         return b""
 
