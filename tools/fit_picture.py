@@ -80,7 +80,7 @@ def fitted(folder: Path, document: RunDocument) -> Fitted:
     for n in np.unique(rng.choice(samples.weight.size, DRAWN, p=samples.weight)):
         (peg,) = PEG.place(samples.q[n], search.fit.body)
         pegs.append(Peg(peg.x, sign * peg.y, peg.radius))
-    predicted = search.fit.predict(mode.tables, mode.xi).value
+    predicted = search.fit.departures(mode.tables, mode.xi).value
     return Fitted(document, contact, prepared[0], predicted, samples, pegs)
 
 

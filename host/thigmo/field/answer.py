@@ -290,7 +290,7 @@ def _placed(
     weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
     weighed = weight > 0.0
     weight = weight[weighed] / weight[weighed].sum()
-    normal, force = touch[weighed, stage, 3:].T
+    force, normal = touch[weighed, stage, 3:].T
     length = readings.stages[stage].length
     mean = weight @ touch[weighed, stage, :3]
     probabilities = softmax([explanation.log_evidence for explanation in explanations])

@@ -161,7 +161,7 @@ class Atlas:
         """
         right = fit.free()
         d = fit.departures(nothing.tables, right)
-        z, effect = d.noise.whitened(d.left), d.noise.whitened(d.prediction.effect.dense())
+        z, effect = d.noise.whitened(d.left), d.noise.whitened(d.effect.dense())
         factor = np.linalg.cholesky(effect.T @ effect + np.eye(fit.count))
         shared = np.linalg.solve(factor, effect.T)
         whole, part = np.divmod(fit.bend(right) / self.step, 1)

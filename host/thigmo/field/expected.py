@@ -143,9 +143,9 @@ def _information(fit: FieldFit, q: Floats, without: Floats) -> Floats:
     """
     tables = fit.tables(PEG, q)
     departures = fit.departures(tables, fit.free())
-    noise, prediction = departures.noise, departures.prediction
-    by_q = noise.whitened(fit.by_q(tables, prediction))
-    effect = noise.whitened(prediction.effect.dense())
+    noise = departures.noise
+    by_q = noise.whitened(fit.by_q(tables, departures))
+    effect = noise.whitened(departures.effect.dense())
     moved = noise.whitened(departures.left) - without
     shared = np.column_stack([by_q, effect[:, ~fit.of_sweeps], moved])
     sweeps = effect[:, fit.of_sweeps]

@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
+from thigmo.field._departures import Bins, normal_equations
 from thigmo.field.hypotheses import (
     BASE,
     FOLD,
@@ -28,7 +29,6 @@ from thigmo.field.hypotheses import (
     Body,
     Hypothesis,
     nearest_on,
-    untouched,
 )
 from thigmo.field.readings import Errors, Floats, Readings
 from thigmo.mechanics import Obstacle, Rod, Tube
@@ -57,23 +57,29 @@ _RESPONSE_STD, _RESPONSE_LEFT = 3**-0.5, 0.2  # of half that difference
 _IN_BIN = np.array([-0.75, -0.25, 0.25, 0.75])
 
 
-class Touch(NamedTuple):
-    """Contacts by bend (k) and obstacle (p) at one stage; NaN where there is none."""
-
-    arc: Floats  # (k, p) cm
-    x: Floats  # (k, p) of the touched skin, cm
-    y: Floats
-    normal: Floats  # (k, p) direction from the contact into the obstacle, rad
-    force: Floats  # (k, p) over EI, 1/cm^2
-
-
 class Tables(NamedTuple):
     """The mechanics of what stands there, by stage (s), bend (k) and sensor (m)."""
 
+    obstacles: list[Obstacle]
     mean: Floats  # (s, k, m) what sensors read, 1/cm
     shift: Floats  # (s, k, m) by how much that grows for each cm farther out
     by_q: Floats  # (s, k, m, unknowns) by how much for each unknown
-    touch: tuple[Touch | None, ...]  # of each stage; None: it reaches nothing
+    # (s, k, obstacles, 4) arc, x, y of the touched skin, cm, and force over EI; NaN: no contact
+    contacts: Floats
+
+    def touch(self, stage: int, row: int, part: float) -> Floats:
+        """(obstacles, 5) contacts at a bend between two rows, and the way into the obstacle (rad).
+
+        Arc, x, y, force, and the direction from the skin to what it touches; NaN: none.
+        """
+        low, high = self.contacts[stage, row : row + 2]
+        contact = np.where(np.isfinite(low), low + part * (high - low), high)
+        normal = np.full((len(self.obstacles), 1), np.nan)
+        for p, obstacle in enumerate(self.obstacles):
+            _, x, y, _ = contact[p]
+            near_x, near_y = nearest_on(obstacle, x, y)
+            normal[p] = np.arctan2(near_y - y, near_x - x)
+        return np.hstack([contact, normal])
 
 
 class Effect(NamedTuple):
@@ -95,18 +101,6 @@ class Effect(NamedTuple):
         return dense
 
 
-class Prediction(NamedTuple):
-    """Readings of n bins by m sensors, 1/cm."""
-
-    value: Floats  # (n, m)
-    slope: Floats  # (n, m) over the bend
-    effect: Effect  # by the errors
-    bend: Floats  # (n,) of the free body, 1/cm
-    answer: Floats  # (n, m) derivatives over the true curvature
-    row: npt.NDArray[np.intp]  # (n, b) of the tables below each of b bends in the bin, and
-    part: Floats  # (n, b) its share of the way to the next
-
-
 class Noise(NamedTuple):
     """White noise of each reading, and the error of a bin's bend, which its sensors share."""
 
@@ -123,54 +117,30 @@ class Noise(NamedTuple):
         white: Floats = z.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
         return white
 
-    def _outwards(self) -> Floats:
-        """(n, m) u of a bin's precision diag(weight^2) - u u^T."""
-        squared = np.sum(self.along**2, axis=1, keepdims=True)
-        outwards: Floats = self.weight * self.along / np.sqrt(1 + squared)
-        return outwards
-
-    def normal(self, effect: Effect, left: Floats) -> tuple[Floats, Floats]:
-        """Normal equations of departures `left` (n, m): the matrix and the right-hand side.
-
-        Most unknowns belong to one sensor each, so a bin's sensors meet in the rank-one part alone.
-        """
-        common, separate = effect
-        n, m, k = separate.shape
-        c = common.shape[2]
-        weight, u = self.weight[..., None], self._outwards()
-        white = (weight * common).reshape(n * m, c)
-        apart = np.moveaxis(weight * separate, 1, 0)  # (m, n, k)
-        by_sensor = np.swapaxes(apart, 1, 2)  # (m, k, n)
-        u_common = np.matmul(u[:, None], common)[:, 0]
-        u_separate = np.swapaxes(u[..., None] * separate, 1, 2).reshape(n, k * m)
-        matrix = np.empty((c + k * m, c + k * m))
-        matrix[:c, :c] = white.T @ white - u_common.T @ u_common
-        cross = by_sensor @ np.moveaxis(weight * common, 1, 0)  # (m, k, c)
-        matrix[c:, :c] = np.swapaxes(cross, 0, 1).reshape(k * m, c) - u_separate.T @ u_common
-        matrix[:c, c:] = matrix[c:, :c].T
-        inner = -u_separate.T @ u_separate
-        sensors = np.arange(m)
-        inner.reshape(k, m, k, m)[:, sensors, :, sensors] += by_sensor @ apart
-        matrix[c:, c:] = inner
-        z, u_left = self.weight * left, np.sum(u * left, axis=1)
-        right = np.empty(c + k * m)
-        right[:c] = white.T @ z.reshape(n * m) - u_common.T @ u_left
-        right[c:] = (by_sensor @ z.T[..., None])[..., 0].T.reshape(k * m) - u_separate.T @ u_left
-        return matrix, right
-
-    def squares(self, left: Floats) -> float:
-        """Sum of squares of whitened departures (n, m)."""
-        z = self.weight * left
-        return float(np.sum(z**2) - np.sum(np.sum(self._outwards() * left, axis=1) ** 2))
-
 
 class Departures(NamedTuple):
-    """Departures of the readings from a prediction."""
+    """A prediction of n bins by m sensors, and the departures of the readings from it."""
 
-    left: Floats  # (n, m) 1/cm; 0 where there is no reading
+    value: Floats  # (n, m) predicted, 1/cm
+    left: Floats  # (n, m) of the readings, 1/cm; 0 where there is none
     noise: Noise
+    effect: Effect  # derivatives of the prediction by the errors
+    answer: Floats  # (n, m) its derivatives by the true curvature
+    bend: Floats  # (n,) of the free body as the errors have it, 1/cm
+    row: npt.NDArray[np.int32]  # (n, b) of the tables below each of b bends in the bin, and
+    part: Floats  # (n, b) its share of the way to the next
     volume: float  # logarithm of the noise's volume
-    prediction: Prediction
+    squares: float  # of the departures, whitened
+
+    def normal(self, by_q: Floats | None = None) -> tuple[Floats, Floats]:
+        """Normal equations of the departures: the matrix and the right-hand side.
+
+        Of the errors; or, with derivatives (n, m, unknowns) of what stands there, of both.
+        """
+        common, separate = self.effect
+        if by_q is not None:
+            common = np.concatenate([by_q, common], axis=2)
+        return normal_equations(common, separate, *self.noise, self.left)
 
 
 @dataclass(frozen=True)
@@ -214,14 +184,11 @@ class FieldFit:
             readings.radius / force, errors.base / self.longest, errors.base_error / self.longest,
         )  # fmt: skip
         self.missing = ~np.isfinite(readings.curvature)
-        self._sd = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
+        self._deviation = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
         highest = [readings.bend[readings.stage == s].max() for s in range(len(readings.stages))]
         self._rows = [
             min(int(BEYOND * g / self.step) + 4, self.bends.size) for g in np.maximum(highest, 0.0)
         ]
-        self._in_bin = np.zeros((1, 1))
-        if readings.half_range is not None:
-            self._in_bin = readings.half_range[:, None] * _IN_BIN
         self.standing = np.ones(readings.bend.size)
         if readings.standing is not None:
             self.standing = readings.standing
@@ -237,40 +204,50 @@ class FieldFit:
         sweeps = np.eye(r.sweep.max() + 1)[r.sweep]
         on_bend = [e.map * g, e.map_by_pressure[used] * g * pressures, e.map_offset * pressures]
         on_bend += [e.sweep * g * sweeps, e.sweep_offset * sweeps, e.lag_s * r.rate[:, None]]
-        self._bend_bin = np.full((n, 1), e.bend_bin)
+        bend_bin = np.full((n, 1), e.bend_bin)
         if r.response is not None:
             on_bend += [_RESPONSE_STD * r.response[:, None]]
-            self._bend_bin = np.hypot(e.bend_bin, _RESPONSE_LEFT * r.response[:, None])
-        self.on_bend = np.hstack(on_bend)
-        zeros = [np.ones((n, 1, 1)) * e.zero[:, None]]
+            bend_bin = np.hypot(e.bend_bin, _RESPONSE_LEFT * r.response[:, None])
+        self._on_bend = np.hstack(on_bend)
+        parts = [np.ones((n, 1, 1)) * e.zero[:, None]]
         if r.zeroing.max() == r.sweep.max():  # one sweep a zeroing: the two are one error
-            zeros += [sweeps[:, None] * np.hypot(e.zero_zeroing, e.zero_sweep)[:, None]]
+            parts += [sweeps[:, None] * np.hypot(e.zero_zeroing, e.zero_sweep)[:, None]]
         else:
-            zeros += [np.eye(r.zeroing.max() + 1)[r.zeroing][:, None] * e.zero_zeroing[:, None]]
-            zeros += [sweeps[:, None] * e.zero_sweep[:, None]]
-        self._zeros = np.concatenate(zeros, axis=2)
-        self._shared = np.zeros((n, m, 0))
+            parts += [np.eye(r.zeroing.max() + 1)[r.zeroing][:, None] * e.zero_zeroing[:, None]]
+            parts += [sweeps[:, None] * e.zero_sweep[:, None]]
+        zeros = np.concatenate(parts, axis=2)
+        shared = np.zeros((n, m, 0))
         if e.shared.size:
-            self._shared = np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1)
-        self._drifts = np.zeros(self.on_bend.shape[1], dtype=bool)
+            shared = np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1)
+        self._drifts = np.zeros(self._on_bend.shape[1], dtype=bool)
         self._drifts[: 1 + pressures.shape[1]] = True  # the map's scales
+        half_range = np.zeros(n) if r.half_range is None else r.half_range
+        unknown = np.ones(m), np.zeros(m)
+        against, against_error = (
+            default if stated is None else stated
+            for stated, default in zip((e.against, e.against_error), unknown, strict=True)
+        )
+        self._bins = Bins(
+            curvature=r.curvature, deviation=self._deviation, bend=r.bend,
+            bend_bin=np.ravel(bend_bin), standing=self.standing, in_bin=half_range[:, None] * _IN_BIN,
+            stage=r.stage, on_bend=self._on_bend, drifts=self._drifts, shared=shared, zeros=zeros,
+            gain=e.gain, place=e.place, against=against, against_error=against_error,
+            model=self.model, step=self.step, rows=self.bends.size,
+        )  # fmt: skip
         # Numbers of the errors, first those of all sensors: of the bend, of the gain against a
         # bend sign, and shared ones; then each sensor's gain, place, zeros and mechanics.
-        self._against = self.on_bend.shape[1]
-        self._gain = self._against + 1 + self._shared.shape[2]
-        self._place, self._zero = self._gain + m, self._gain + 2 * m
-        self._modelled = self._zero + self._zeros.shape[2] * m
-        self.count = self._modelled + (m if self.model else 0)
+        self.count, by_sensor = self._bins.count, self._bins.common
+        zero_at, model_at = by_sensor + 2 * m, by_sensor + (2 + zeros.shape[2]) * m
         # Errors that each sweep has by itself: of the bend, and beyond a sensor's constant zero.
         self.of_sweeps = np.zeros(self.count, dtype=bool)
         first = 1 + 2 * pressures.shape[1]
         self.of_sweeps[first : first + 2 * sweeps.shape[1]] = True
-        self.of_sweeps[self._against + 1 : self._gain] = True
-        self.of_sweeps[self._zero + m : self._modelled] = True
+        self.of_sweeps[self._drifts.size + 1 : by_sensor] = True
+        self.of_sweeps[zero_at + m : model_at] = True
         # Errors that drift: of maps and gains.
         self.drifting = np.zeros(self.count, dtype=bool)
-        self.drifting[: self._against] = self._drifts
-        self.drifting[self._gain : self._place] = True
+        self.drifting[: self._drifts.size] = self._drifts
+        self.drifting[by_sensor : by_sensor + m] = True
         self._unit = np.eye(self.count)
 
     def free(self) -> Floats:
@@ -281,130 +258,67 @@ class FieldFit:
         """The mechanics of q; most of the time goes here."""
         r, m = self.readings, self.readings.centers.size
         obstacles = hypothesis.place(q, self.body)
-        mean = np.tile(self.bends[:, None], (len(r.stages), 1, m))
-        shift = np.zeros(mean.shape)
-        by_q = np.zeros((*mean.shape, hypothesis.unknowns))
+        shape = len(r.stages), self.bends.size
+        mean = np.empty((*shape, m))
+        mean[:] = self.bends[:, None]
+        shift = np.zeros((*shape, m))
+        by_q = np.zeros((*shape, m, hypothesis.unknowns))
+        contacts = np.full((*shape, len(obstacles), 4), np.nan)
         chain = hypothesis.moves(q, self.body)
-        touches: list[Touch | None] = []
         for s, (length, body_pressure) in enumerate(r.stages):
-            rows, touch = self._rows[s], None
-            bends = self.bends[:rows]
-            first = min((untouched(p, length, r.radius, bends) for p in obstacles), default=rows)
-            if first < rows:
-                if self._meanwhile is not None:
-                    self._meanwhile()
-                critical = float(r.fold_moment[body_pressure] * np.exp(q[FOLD]))
-                base = abs(float(q[BASE])) * self.longest
-                cell_cm = min(CELL * self.longest, MOST_CELL_CM)
-                rod = Rod(
-                    Tube(2 * r.radius, critical, base), obstacles, cell_cm=cell_cm,
-                    friction=abs(float(q[FRICTION])),
-                )  # fmt: skip
-                sweep = rod.sweep(bends[first:], length, r.centers, r.spans)
-                on = slice(first, rows)
-                mean[s, on], shift[s, on] = sweep.readings, sweep.by_place
-                for p, moves in enumerate(chain):
-                    by_place = sweep.by_obstacle[:, :, p, :5]
-                    by_q[s, on, :, hypothesis.unknowns_of(p)] = by_place @ moves
-                yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
-                by_q[s, on, :, YIELD] = yields
-                if np.isfinite(critical):  # else the base does not fold
-                    by_q[s, on, :, FOLD] = sweep.by_body[..., 0] * critical
-                by_q[s, on, :, BASE] = sweep.by_body[..., 1] * self.longest
-                by_q[s, on, :, FRICTION] = sweep.by_body[..., 2]
-                for part in (mean, shift, by_q):
-                    part[s, rows:] = part[s, rows - 1]
-                touch = self._touch(obstacles, sweep.contacts, first, rows)
-            touches.append(touch)
-        return Tables(mean, shift, by_q, tuple(touches))
-
-    @staticmethod
-    def _touch(obstacles: list[Obstacle], contacts: Floats, first: int, rows: int) -> Touch:
-        where = np.full((5, rows, len(obstacles)), np.nan)
-        arc, x, y, force = np.moveaxis(contacts, 2, 0)
-        for p, obstacle in enumerate(obstacles):
-            near_x, near_y = nearest_on(obstacle, x[:, p], y[:, p])
-            where[3, first:, p] = np.arctan2(near_y - y[:, p], near_x - x[:, p])
-        where[:3, first:], where[4, first:] = (arc, x, y), force
-        return Touch(*where)
+            if not obstacles:
+                break
+            if self._meanwhile is not None:
+                self._meanwhile()
+            rows = self._rows[s]
+            critical = float(r.fold_moment[body_pressure] * np.exp(q[FOLD]))
+            base = abs(float(q[BASE])) * self.longest
+            cell_cm = min(CELL * self.longest, MOST_CELL_CM)
+            rod = Rod(
+                Tube(2 * r.radius, critical, base), obstacles, cell_cm=cell_cm,
+                friction=abs(float(q[FRICTION])),
+            )  # fmt: skip
+            sweep = rod.sweep(self.bends[:rows], length, r.centers, r.spans)
+            mean[s, :rows], shift[s, :rows] = sweep.readings, sweep.by_place
+            contacts[s, :rows] = sweep.contacts
+            for p, moves in enumerate(chain):
+                by_place = sweep.by_obstacle[:, :, p, :5]
+                by_q[s, :rows, :, hypothesis.unknowns_of(p)] = by_place @ moves
+            yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
+            by_q[s, :rows, :, YIELD] = yields
+            if np.isfinite(critical):  # else the base does not fold
+                by_q[s, :rows, :, FOLD] = sweep.by_body[..., 0] * critical
+            by_q[s, :rows, :, BASE] = sweep.by_body[..., 1] * self.longest
+            by_q[s, :rows, :, FRICTION] = sweep.by_body[..., 2]
+            for part in (mean, shift, by_q, contacts):
+                part[s, rows:] = part[s, rows - 1]
+        return Tables(obstacles, mean, shift, by_q, contacts)
 
     def bend(self, xi: Floats, spread: float = 1.0) -> Floats:
         """(n,) bends of the free body as the errors have it; `spread` scales drifts."""
-        along = xi[: self._against] * np.where(self._drifts, spread, 1.0)
-        bend: Floats = np.clip(self.readings.bend + self.on_bend @ along, 0.0, self.bends[-2])
+        along = xi[: self._drifts.size] * np.where(self._drifts, spread, 1.0)
+        bend: Floats = np.clip(self.readings.bend + self._on_bend @ along, 0.0, self.bends[-2])
         return bend
 
-    def predict(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Prediction:
-        """What the sensors read, and its derivatives.
+    def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
+        """What the sensors read, and the readings' departures from it.
 
-        `xi` are the errors in their standard deviations: each is N(0, 1) beforehand.
+        `xi` are the errors in their standard deviations: each is N(0, 1) beforehand. The noise is
+        white, plus the mechanics' error, plus each bin's error of the bend, which all of its
+        sensors share (a rank-one update).
         """
-        e, r, m = self.errors, self.readings, self.readings.centers.size
-        b, j, p, o = self._against, self._gain, self._place, self._zero
-        gain, place = 1 + spread * e.gain * xi[j:p], e.place * xi[p:o]
-        bend = self.bend(xi, spread)
-        # A touch is a kink, so the mean of a bin's readings is not the reading at its mean bend.
-        inside = np.clip(bend[:, None] + self._in_bin, 0.0, self.bends[-2])
-        whole, part = np.divmod(inside / self.step, 1)
-        k, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[..., None]
-        stage = r.stage[:, None]
-        low, high = tables.mean[stage, k], tables.mean[stage, k + 1]
-        touched = (low * (1 - u) + high * u).mean(axis=1)
-        rise = (high - low).mean(axis=1) / self.step
-        shift = (tables.shift[stage, k] * (1 - u) + tables.shift[stage, k + 1] * u).mean(axis=1)
-        if r.standing is not None:
-            stood = self.standing[:, None]
-            touched = stood * touched + (1 - stood) * bend[:, None]
-            rise = stood * rise + (1 - stood)
-            shift = stood * shift
-        true = touched + shift * place
-        back = true < 0  # a flex sensor answers less to a bend against its `bend_sign`
-        against = np.ones(m) if e.against is None else e.against
-        unsure = np.zeros(m) if e.against_error is None else e.against_error
-        answer = np.where(back, against + unsure * xi[b], 1.0)
-        slope = gain * answer * rise
-        on_bend = self.on_bend * np.where(self._drifts, spread, 1.0)
-        common = np.concatenate(
-            [
-                slope[..., None] * on_bend[:, None],
-                (unsure * gain * true * back)[..., None],
-                self._shared,
-            ],
-            axis=2,
+        value, left, weight, along, common, separate, *rest = self._bins.departures(
+            tables.mean, tables.shift, xi, spread
         )
-        by_gain, by_place = spread * e.gain * answer * true, e.place * gain * answer * shift
-        separate = [by_gain[..., None], by_place[..., None], self._zeros]
-        zeros = xi[o : self._modelled].reshape(-1, m)
-        value = gain * answer * true + np.einsum("nmk,km->nm", self._zeros, zeros)
-        value = value + self._shared @ xi[b + 1 : j]
-        if self.model:
-            added = self.model * (true - bend[:, None])
-            separate.append(added[..., None])
-            value = value + added * xi[self._modelled :]
-        effect = Effect(common, np.concatenate(separate, axis=2))
-        return Prediction(value, slope, effect, bend, gain * answer, k, part)
+        return Departures(value, left, Noise(weight, along), Effect(common, separate), *rest)
 
-    def by_q(self, tables: Tables, at: Prediction) -> Floats:
+    def by_q(self, tables: Tables, at: Departures) -> Floats:
         """(n, m, unknowns) derivatives of a prediction by what stands there."""
         stage, part = self.readings.stage[:, None], at.part[..., None, None]
         below, above = tables.by_q[stage, at.row], tables.by_q[stage, at.row + 1]
         stood = (self.standing[:, None] * at.answer)[..., None]
         slopes: Floats = stood * (below * (1 - part) + above * part).mean(axis=1)
         return slopes
-
-    def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
-        """Departures from a prediction.
-
-        The noise is white, plus the mechanics' error, plus each bin's error of the bend, which all
-        of its sensors share (a rank-one update).
-        """
-        prediction = self.predict(tables, xi, spread)
-        added = self.model * (prediction.value - prediction.bend[:, None]) / self._sd
-        weight = 1 / (self._sd * np.sqrt(1 + added**2))
-        along = weight * prediction.slope * self._bend_bin
-        volume = float(np.log1p((along**2).sum(axis=1)).sum() + np.log1p(added**2).sum())
-        left = np.where(self.missing, 0.0, self.readings.curvature - prediction.value)
-        return Departures(left, Noise(weight, along), volume, prediction)
 
     def evidence(
         self, tables: Tables, xi: Floats, *, spread: float = 1.0, passes: int = 2
@@ -416,16 +330,17 @@ class FieldFit:
         """
         for left in range(passes, -1, -1):
             d = self.departures(tables, xi, spread)
-            matrix, slope = d.noise.normal(d.prediction.effect, d.left)
-            factor = cho_factor(matrix + self._unit, check_finite=False)
+            matrix, slope = d.normal()
             slope = slope - xi
-            step = cho_solve(factor, slope, check_finite=False)
+            factor, step, problem = dposv(matrix + self._unit, slope)
+            if problem:
+                raise np.linalg.LinAlgError("the normal equations of the errors are not positive")
             gain = 0.5 * float(slope @ step)  # of a further pass, were the readings linear
             if not left or gain < _MET:
                 break
             xi = xi + step
-        inside = 2 * float(np.log(np.diag(factor[0])).sum())
-        misfit = d.noise.squares(d.left) + float(xi @ xi) - 2 * gain
+        inside = 2 * float(np.log(np.diag(factor)).sum())
+        misfit = d.squares + float(xi @ xi) - 2 * gain
         return -0.5 * (misfit + inside + d.volume), xi + step, misfit
 
     def nothing(self) -> Mode:
@@ -471,13 +386,11 @@ class FieldFit:
             tables = self.tables(hypothesis, q)
             d = self.departures(tables, xi)
             prior = -2 * hypothesis.log_prior(q, self.body)
-            return d.noise.squares(d.left) + float(xi @ xi) + d.volume + prior, tables, d
+            return d.squares + float(xi @ xi) + d.volume + prior, tables, d
 
         def linearised(tables: Tables, d: Departures) -> tuple[Floats, Floats]:
             """Precision of q and errors, and the slope of the log posterior."""
-            errors = d.prediction.effect
-            common = np.concatenate([self.by_q(tables, d.prediction), errors.common], axis=2)
-            matrix, right = d.noise.normal(Effect(common, errors.separate), d.left)
+            matrix, right = d.normal(self.by_q(tables, d))
             slope = right - np.concatenate([(q - mean) / spread**2, xi])
             return matrix + np.diag(precision), slope
 

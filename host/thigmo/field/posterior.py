@@ -90,7 +90,7 @@ class Samples:
     hypothesis: Hypothesis
     q: Floats  # (n, unknowns)
     model: Floats  # (n, levels) posterior of the level of the mechanics' error
-    # (n, stages, obstacles, 5) arc, x, y, normal, force at each stage's last peak; NaN: none
+    # (n, stages, obstacles, 5) arc, x, y, force, normal at each stage's last peak; NaN: none
     touch: Floats
     weight: Floats  # (n,) of sum one
     compliance: Floats  # (n,) of the obstacles, cm^3
@@ -445,11 +445,9 @@ class Search:
                 best, least = fitted, misfit
         touch = np.full((len(self.readings.stages), hypothesis.obstacles, 5), np.nan)
         k, u = np.divmod(fit.bend(best, spread)[self._peaks] / fit.step, 1)
-        for s, on in enumerate(tables.touch):
-            if on is not None and self._peaks[s] >= 0:
-                row = min(int(k[s]), len(on.arc) - 2)
-                low, high = (np.array([part[n] for part in on]).T for n in (row, row + 1))
-                touch[s] = np.where(np.isfinite(low), low + u[s] * (high - low), high)
+        for s, peak in enumerate(self._peaks):
+            if peak >= 0:
+                touch[s] = tables.touch(s, int(k[s]), u[s])
         total = float(np.logaddexp.reduce(logs))
         prior = hypothesis.log_prior(q, fit.body)
         skin = hypothesis.skin(q, fit.body)

@@ -15,10 +15,12 @@
 #include <string>
 #include <tuple>
 
+#include "../owned_array.h"
 #include "rod.h"
 
 namespace nb = nanobind;
 using namespace thigmo::mechanics;
+using thigmo::owned_array;
 
 namespace {
 
@@ -60,14 +62,6 @@ RestShape rest_of(const RestRows& rows) {
   std::vector<RestShape::Piece> pieces;
   for (const auto& [until, curvature] : rows) pieces.push_back({until, curvature});
   return RestShape(std::move(pieces));
-}
-
-// An array that Python owns.
-template <typename Value, std::size_t N>
-nb::ndarray<nb::numpy, Value> array(std::vector<Value> values, const std::size_t (&shape)[N]) {
-  auto* kept = new std::vector<Value>(std::move(values));
-  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<Value>*>(p); });
-  return nb::ndarray<nb::numpy, Value>(kept->data(), N, shape, owner);
 }
 
 }  // namespace
@@ -144,11 +138,11 @@ NB_MODULE(_rod, m) {
              const std::size_t rows = sweep.rows, sensors = sweep.sensors;
              const std::size_t obstacles = sweep.obstacles, parameters = sweep.parameters();
              return nb::make_tuple(
-                 array(std::move(sweep.readings), {rows, sensors}),
-                 array(std::move(sweep.by_place), {rows, sensors}),
-                 array(std::move(sweep.by_parameter), {rows, sensors, parameters}),
-                 array(std::move(sweep.contacts), {rows, obstacles, 4}),
-                 array(std::move(sweep.approximate), {rows}));
+                 owned_array(std::move(sweep.readings), {rows, sensors}),
+                 owned_array(std::move(sweep.by_place), {rows, sensors}),
+                 owned_array(std::move(sweep.by_parameter), {rows, sensors, parameters}),
+                 owned_array(std::move(sweep.contacts), {rows, obstacles, 4}),
+                 owned_array(std::move(sweep.approximate), {rows}));
            })
       .def("pose",
            [](const Rod& rod, double arc) {

@@ -254,21 +254,32 @@ Rod::Reactions Rod::unpacked(const std::vector<double>& z) const {
 }
 
 // Moves the unknowns along with a change of the natural curvature, as the last equilibrium's
-// derivatives have it: a start from which Newton needs one step less.
+// derivatives and how they changed since the one before have it: a start from which Newton needs a
+// step or two less.
 void Rod::predict(double change) {
   std::vector<double> z = packed();
   const int n = static_cast<int>(z.size());
   const int directions = shot_.directions;
+  const std::vector<double> slope_before = std::move(slope_);
+  slope_.clear();
   if (n == 0 || static_cast<int>(residual_.size()) != n ||
       static_cast<int>(jacobian_.size()) != n * directions) {
     return;
   }
-  std::vector<double> matrix(n * n), dz(n);
+  std::vector<double> matrix(n * n), slope(n);
   for (int r = 0; r < n; ++r) {
-    dz[r] = -change * jacobian_[r * directions + n];
+    slope[r] = -jacobian_[r * directions + n];
     for (int c = 0; c < n; ++c) matrix[r * n + c] = jacobian_[r * directions + c];
   }
-  if (solve_linear(matrix, dz, n) == 0) return;
+  if (solve_linear(matrix, slope, n) == 0) return;
+  std::vector<double> dz(n);
+  const bool curved = static_cast<int>(slope_before.size()) == n && last_change_ != 0.0;
+  for (int r = 0; r < n; ++r) {
+    const double bend = curved ? (slope[r] - slope_before[r]) / last_change_ : 0.0;
+    dz[r] = change * (slope[r] + 0.5 * change * bend);
+  }
+  slope_ = std::move(slope);
+  last_change_ = change;
   int i = 0;
   for (const Contact& contact : reactions_.contacts) {
     if (!(std::fabs(dz[i + 1]) < 0.5) || z[i] + dz[i] < 0.0) return;

@@ -196,6 +196,7 @@ void Rod::set_critical(double critical) {
 
 void Rod::forget_equations() {
   jacobian_.clear();
+  slope_.clear();
   determinant_sign_ = 0;
 }
 

@@ -257,6 +257,8 @@ class Rod {
   std::vector<double> residual_;   // of the equations, cm
   std::vector<double> jacobian_;   // of them, [equation][direction]
   int determinant_sign_ = 0;       // by the unknowns; a change means a limit point was passed
+  std::vector<double> slope_;      // of the unknowns over the natural curvature, as last predicted
+  double last_change_ = 0.0;       // of the natural curvature since
   std::optional<Node> tip_;
 };
 

@@ -91,7 +91,7 @@ def test_the_face_of_a_wall_reaches_from_the_first_touch_to_the_last() -> None:
     first = WALL.skin(q[1], body)[0]
     last = first + 6.0 * way
     touch = np.full((3, 2, 1, 5), np.nan)
-    touch[:, 1, 0] = [53.0, *last, 1.2, 2e-4]
+    touch[:, 1, 0] = [53.0, *last, 2e-4, 1.2]
     even = np.full(3, 1 / 3)
     samples = Samples(WALL, q, np.ones((3, 1)), touch, even, 0.0 * even, 0.5, -10.0)
     assert _face(samples, 0, body) == pytest.approx(np.array([first, last]), abs=1e-9)

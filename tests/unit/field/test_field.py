@@ -218,7 +218,7 @@ def test_a_known_error_of_calibration_is_found() -> None:
     for read in rows.values():
         read[:, 1] *= 1.05
     fit = FieldFit(_readings(rows), _errors())
-    value = fit.predict(fit.nothing().tables, fit.nothing().xi)[0]
+    value = fit.departures(fit.nothing().tables, fit.nothing().xi).value
     late = fit.readings.bend > 0.018
     apart = value[late, 1] / value[late, 2]
     assert apart.mean() == pytest.approx(1.05, abs=0.015)
@@ -240,11 +240,11 @@ def test_derivatives_are_those_of_the_readings(
     q = PEG.columns((34.0, 0.009, -0.6), 0.05, friction, 0.3, 0.03)
     xi = 0.1 * rng.standard_normal(fit.count)
     tables = fit.tables(PEG, q)
-    by_q = fit.by_q(tables, fit.predict(tables, xi))
+    by_q = fit.by_q(tables, fit.departures(tables, xi))
     steps = PEG.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4)
     for i in unknowns:
         ends = [
-            fit.predict(fit.tables(PEG, q + sign * steps * (np.arange(q.size) == i)), xi).value
+            fit.departures(fit.tables(PEG, q + sign * steps * (np.arange(q.size) == i)), xi).value
             for sign in (1, -1)
         ]
         differences = (ends[0] - ends[1]) / (2 * steps[i])
@@ -269,7 +269,7 @@ def test_a_bin_reads_the_mean_of_its_frames_across_a_touch(way: float) -> None:
     )  # fmt: skip
     fit = FieldFit(readings, _errors())
     tables = fit.tables(PEG, PEG.columns((30.0, touch, np.log(0.8 / RADIUS)), 0.0, 0.0, 0.0, 0.0))
-    (mean,) = np.unique(fit.predict(tables, fit.free()).value, axis=0)
+    (mean,) = np.unique(fit.departures(tables, fit.free()).value, axis=0)
     assert mean == pytest.approx(frame_readings.mean(axis=0), abs=1e-4)
     if way == 0.5:  # as a single frame in the middle it would read far more
         at_mean = rod.sweep(frames[20:21], 53.0, CENTERS, SPANS).readings[0]
@@ -296,12 +296,12 @@ def test_derivatives_by_two_pegs_and_by_a_wall(
     assert hypothesis.possible(unknowns, fit.body)
     xi = fit.free()
     tables = fit.tables(hypothesis, unknowns)
-    exact = fit.by_q(tables, fit.predict(tables, xi))
+    exact = fit.by_q(tables, fit.departures(tables, xi))
     steps = hypothesis.columns((1e-2, 1e-6, 1e-3), 1e-3, 1e-3, 1e-3, 1e-4, (1e-6, 1e-3, 1e-3, 1e-3))
     felt = list[float]()
     for i in range(hypothesis.unknowns - SHARED_UNKNOWNS):
         low, high = (
-            fit.predict(
+            fit.departures(
                 fit.tables(hypothesis, unknowns + way * steps * (np.arange(unknowns.size) == i)), xi
             ).value
             for way in (-1.0, 1.0)
