@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from math import nan
 
 import numpy as np
@@ -31,9 +31,10 @@ from thigmo.field.readings import Errors, Flags, Floats, Indices, Readings
 LEAST_GAIN = 3.0
 # Share of sweeps that their own model explains, and that are taken for unexplained.
 FALSE_ALARMS = 0.05
-# Log evidence by which an explanation must be likelier than the next for its place to count, and
-# beyond which a less likely one need not be sampled: its mode alone says so much.
-_SURELY, _NEAR = 3.0, 5.0
+# Log evidence by which an explanation must be likelier than the next for its place to count; and
+# by which it must be likelier than the next by that one's first samples, or by its mode alone, for
+# no more to be asked. Both fall short of the evidence where a posterior is no bell.
+_SURELY, _BY_FIRST_SAMPLES, _BY_MODE = 3.0, 5.0, 7.0
 # Everted length by the spool's encoder, and the side against the corner of the end, cm.
 _LENGTH_CM = 0.1
 # By how much wider a place is than its samples: the mechanics lack more than any hypothesis has.
@@ -137,21 +138,18 @@ def _contacts(search: Search, expected: Callable[[Floats], Floats] | None) -> li
     if explanations[0] is gone and not _doubt(explanations, readings):
         return _answer(search, explanations, "")
     # One peg may leave no more than is usual where two are touched at different lengths, or where a
-    # second one is touched beyond it. So two are tried in any case; where one holds, and is surely
-    # likelier, it is the answer.
-    pairs = search.pairs(None if peg is None else peg.likeliest)
-    pairs_evidence = _laplace(search, pairs)
-    if holds and pairs_evidence < explanations[0].log_evidence - _SURELY:
-        return _answer(search, explanations, _doubt(explanations, readings))
-    walls = search.walls()
-    rivals = [(pairs_evidence, pairs), (_laplace(search, walls), walls)]
-    # The likelier first: its samples may leave the other too unlikely to be sampled.
-    for log_evidence, chains in sorted(rivals, key=lambda rival: -rival[0]):
-        if log_evidence > explanations[0].log_evidence - _NEAR:
-            least = explanations[0].log_evidence - _SURELY
+    # second one is touched beyond it. So two are tried in any case; a wall as well, unless one peg
+    # holds and is surely likelier.
+    pairs = partial(search.pairs, None if peg is None else peg.likeliest)
+    for modes_of_rival in (pairs, search.walls):
+        chains, best = modes_of_rival(), explanations[0]
+        if _laplace(search, chains) > best.log_evidence - _BY_MODE:
+            least = best.log_evidence - _BY_FIRST_SAMPLES
             samples = _sampled(search, chains, expected, least)
             explanations += [] if samples is None else [samples]
-        explanations.sort(key=lambda samples: -samples.log_evidence)
+            explanations.sort(key=lambda samples: -samples.log_evidence)
+        if holds and explanations[0] is peg and not _doubt(explanations, readings):
+            break
     return _answer(search, explanations, _doubt(explanations, readings))
 
 

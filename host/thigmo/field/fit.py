@@ -229,10 +229,10 @@ class FieldFit:
         )
         self._bins = Bins(
             curvature=r.curvature, deviation=self._deviation, bend=r.bend,
-            bend_bin=np.ravel(bend_bin), standing=self.standing, in_bin=half_range[:, None] * _IN_BIN,
-            stage=r.stage, on_bend=self._on_bend, drifts=self._drifts, shared=shared, zeros=zeros,
-            gain=e.gain, place=e.place, against=against, against_error=against_error,
-            model=self.model, step=self.step, rows=self.bends.size,
+            bend_bin=np.ravel(bend_bin), standing=self.standing,
+            in_bin=half_range[:, None] * _IN_BIN, stage=r.stage, on_bend=self._on_bend,
+            drifts=self._drifts, shared=shared, zeros=zeros, gain=e.gain, place=e.place,
+            against=against, against_error=against_error, model=self.model, step=self.step, rows=self.bends.size,
         )  # fmt: skip
         # Numbers of the errors, first those of all sensors: of the bend, of the gain against a
         # bend sign, and shared ones; then each sensor's gain, place, zeros and mechanics.
@@ -307,10 +307,13 @@ class FieldFit:
         white, plus the mechanics' error, plus each bin's error of the bend, which all of its
         sensors share (a rank-one update).
         """
-        value, left, weight, along, common, separate, *rest = self._bins.departures(
-            tables.mean, tables.shift, xi, spread
+        value, left, weight, along, common, separate, answer, bend, row, part, volume, squares = (
+            self._bins.departures(tables.mean, tables.shift, xi, spread)
         )
-        return Departures(value, left, Noise(weight, along), Effect(common, separate), *rest)
+        noise, effect = Noise(weight, along), Effect(common, separate)
+        return Departures(
+            value, left, noise, effect, answer, bend, row, part, volume, squares
+        )  # fmt: skip
 
     def by_q(self, tables: Tables, at: Departures) -> Floats:
         """(n, m, unknowns) derivatives of a prediction by what stands there."""

@@ -161,9 +161,11 @@ class Hypothesis:
         low = LEAST_BEND / body.longest
         for n, row in enumerate(self.rows(q)):
             if n < self.pegs:
-                most = min(body.most_bend, _MOST_TURN / row[ARC])
-                size = abs(row[RADIUS] - RADIUS_MEAN) < _MOST_STD * RADIUS_STD
-                if not (size and body.radius < row[ARC] and low < row[BEND] < most):
+                arc, bend, log_radius = row
+                size = abs(log_radius - RADIUS_MEAN) < _MOST_STD * RADIUS_STD
+                if not (size and body.radius < arc and low < bend < body.most_bend):
+                    return False
+                if arc * bend >= _MOST_TURN:
                     return False
             elif not (
                 low < row[WALL_BEND] < min(body.most_bend, _MOST_TURN / body.longest)

@@ -70,9 +70,13 @@ ENOUGH = 50.0  # effective samples
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
 _UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
 _SIGNS = np.array(list(product((1.0, -1.0), repeat=len(UNSIGNED))))
-# Of the search for a pair: places of the plane taken from each length, pairs tried, and two of
-# them fitted; radii beside the likeliest at which samples are proposed, as logarithms.
-_PLACES, _PAIRS, _ASIDE = 2, 4, 0.6
+# Of the search for pairs and walls: starts that are followed under the rough error, and then
+# without it, if their touches lie so far apart (over the longest body): which of them is likeliest
+# a rough error does not say.
+_ROUGHLY, _FINELY, _APART = 5, 2, 0.06
+# Of pairs: places of the plane taken from each length; radii beside the likeliest at which samples
+# are proposed, as logarithms.
+_PLACES, _ASIDE = 2, 0.6
 _LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
 # Touches of a second peg beside the likeliest one: arcs over the longest body, bends over the
 # highest. Between two ends there may be none of them, so the middle is tried as well.
@@ -240,14 +244,15 @@ class Search:
             lengths = np.unique([stage.length for stage in self.readings.stages])
             between_ends = (lengths[1:] + lengths[:-1]) / 2
             arcs = [*(self.fit.longest * _SECOND_ARCS), *between_ends]
-            seconds = product(arcs, self.readings.bend.max() * _SECOND_BENDS)
             known = peg[:PEG_UNKNOWNS]
             groups.append(
-                [np.array([*known, *second, RADIUS_MEAN, 0.0, *_LEAST]) for second in seconds]
+                [
+                    np.array([*known, *second, RADIUS_MEAN, 0.0, *_LEAST])
+                    for second in product(arcs, self.readings.bend.max() * _SECOND_BENDS)
+                ]
             )
         radii = RADIUS, RADIUS + PEG_UNKNOWNS
-        likeliest = [mode for starts in groups for mode in self._likeliest(PEGS, starts, radii)]
-        solved = [self.fit.solve(PEGS, mode.q, mode.xi) for mode in likeliest]
+        solved = [mode for starts in groups for mode in self._likeliest(PEGS, starts, radii)]
         shown = [mode for mode in solved if self._shows(mode)]
         if not shown:
             return []
@@ -273,10 +278,10 @@ class Search:
             np.array([highest * bend, tilt, reach, AHEAD_MEAN, 0.0, *_LEAST])
             for bend, tilt, reach in product(bends, tilts, reaches)
         ]
-        likeliest = self._likeliest(WALL, starts, ())
-        if not likeliest:
+        solved = self._likeliest(WALL, starts, ())
+        if not solved:
             return []
-        whole = self.fit.solve(WALL, likeliest[0].q, likeliest[0].xi)
+        whole = min(solved, key=lambda mode: mode.cost)
         modes, short = [whole], []
         for ahead in _SHORT:
             q = whole.q.copy()
@@ -300,15 +305,20 @@ class Search:
     def _likeliest(
         self, hypothesis: Hypothesis, starts: Sequence[Floats], held: tuple[int, ...]
     ) -> list[Mode]:
-        """Modes near the likeliest starts, likeliest first; q[held] are as these have it.
+        """Modes near the likeliest starts; under the rough error q[held] are as these have it.
 
-        No fit crosses an end, so the best start between any two ends is followed first.
+        No fit crosses an end, so the best start between any two ends is followed first. A start of
+        which an obstacle is never touched is one of fewer.
         """
         rough = self._rough
         tried = []
         for q in starts:
-            if hypothesis.possible(q, rough.body):
-                log, xi, _ = rough.evidence(rough.tables(hypothesis, q), rough.free(), passes=1)
+            if not hypothesis.possible(q, rough.body):
+                continue
+            tables = rough.tables(hypothesis, q)
+            is_touched = np.isfinite(tables.contacts[..., 0]).any(axis=(0, 1))
+            if is_touched.all():
+                log, xi, _ = rough.evidence(tables, rough.free(), passes=1)
                 tried.append((log + hypothesis.log_prior(q, rough.body), q, xi))
         tried.sort(key=lambda trial: -trial[0])
         best: dict[tuple[int, ...], int] = {}
@@ -317,13 +327,25 @@ class Search:
             best.setdefault(tuple(self.readings.ends_before(arc) for arc in arcs), n)
         others = [n for n in range(len(tried)) if n not in best.values()]
         shared = tuple(range(hypothesis.unknowns - SHARED_UNKNOWNS, hypothesis.unknowns))
-        first = [
+        followed = [
             rough.solve(hypothesis, q, xi, passes=6, held=held + shared)
-            for _, q, xi in (tried[n] for n in [*best.values(), *others][:_PAIRS])
+            for _, q, xi in (tried[n] for n in [*best.values(), *others][:_ROUGHLY])
         ]
-        first.sort(key=lambda mode: mode.cost)
-        modes = [self.fit.solve(hypothesis, mode.q, passes=6, held=held) for mode in first[:2]]
-        return sorted(modes, key=lambda mode: mode.cost)
+        followed.sort(key=lambda mode: mode.cost)
+        distinct: list[Mode] = []
+        for mode in followed:
+            if not any(self._touch_alike(mode, kept) for kept in distinct):
+                distinct.append(mode)
+        return [self.fit.solve(hypothesis, mode.q) for mode in distinct[:_FINELY]]
+
+    def _touch_alike(self, first: Mode, second: Mode) -> bool:
+        """Whether the pegs of two modes are touched near the same arcs."""
+        pegs = first.hypothesis.pegs
+        arcs, others = (
+            np.sort([row[ARC] for row in mode.hypothesis.rows(mode.q)[:pegs]])
+            for mode in (first, second)
+        )
+        return pegs > 0 and bool(np.abs(arcs - others).max() < _APART * self.fit.longest)
 
     def laplace(self, mode: Mode) -> float:
         """Log evidence of a mode's hypothesis, were its posterior a bell."""
