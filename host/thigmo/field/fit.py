@@ -232,7 +232,8 @@ class FieldFit:
             bend_bin=np.ravel(bend_bin), standing=self.standing,
             in_bin=half_range[:, None] * _IN_BIN, stage=r.stage, on_bend=self._on_bend,
             drifts=self._drifts, shared=shared, zeros=zeros, gain=e.gain, place=e.place,
-            against=against, against_error=against_error, model=self.model, step=self.step, rows=self.bends.size,
+            against=against, against_error=against_error, model=self.model, step=self.step,
+            rows=self.bends.size,
         )  # fmt: skip
         # Numbers of the errors, first those of all sensors: of the bend, of the gain against a
         # bend sign, and shared ones; then each sensor's gain, place, zeros and mechanics.
