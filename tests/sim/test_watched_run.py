@@ -154,7 +154,7 @@ def test_what_a_run_publishes_tells_it_from_its_states_to_its_map(run: Watched) 
     assert "contact" in [event.name for event in published.of(Event)]
 
 
-def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_base_is_near_its_fold(
+def test_posterior_comes_in_mid_sweep_twice_a_second_until_the_base_is_near_its_fold(
     run: Watched,
 ) -> None:
     published = run.watcher
@@ -162,7 +162,8 @@ def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_base_is_near_
     so_far = [posterior for posterior in published.of(Posterior) if posterior.sweeping]
     assert len(so_far) > 1
     steps = np.diff([posterior.t_s for posterior in so_far])
-    assert np.median(steps) == pytest.approx(0.1, abs=0.05)
+    assert np.min(steps) == pytest.approx(0.5, abs=0.05)
+    assert np.median(steps) == pytest.approx(0.5, abs=0.05)
     states = published.of(RunState)
     for posterior in so_far:
         now = [state for state in states if state.t_s <= posterior.t_s][-1]
@@ -177,7 +178,7 @@ def test_posterior_comes_in_mid_sweep_ten_times_a_second_until_the_base_is_near_
         np.sqrt(np.dot((np.array(reading.places_cm) - contact.arc_cm) ** 2, reading.probability))
         for reading in (last, then)
     ]
-    assert spread[1] < spread[0]  # all frames say more than those of half a second
+    assert spread[1] < spread[0]  # the fit knows more than the search alone
     assert then.contact_probability > 0.99
 
 
@@ -233,7 +234,7 @@ def test_the_body_is_seen_to_bend_both_ways_as_long_as_it_is(run: Watched) -> No
 
 
 def test_a_viewer_pauses_the_run_between_stages_and_lets_it_go_on(
-    late_url: str, run: Watched, tmp_path: Path
+    late_url: str, tmp_path: Path
 ) -> None:
     def act(message: Message, control: RunControl) -> None:
         if isinstance(message, RunState) and message.state == "SWEEP" and not paused:
@@ -254,9 +255,9 @@ def test_a_viewer_pauses_the_run_between_stages_and_lets_it_go_on(
     assert len(during) > 300
     assert max(max(m.pressure_psi) for m in during) < 0.5
     assert not any(m.faults for m in during)
-    alone_s = run.alone.document.robot_time_s
-    # Sensors settle while it pauses.
-    assert alone_s + 1.9 <= result.document.robot_time_s < alone_s + 4.0
+    # What it measures afterwards may differ: sensors settle while it pauses.
+    next_state = next(s for s in watcher.of(RunState) if s.t_s > state.t_s and not s.paused)
+    assert 1.9 <= next_state.t_s - state.t_s < 4.0
 
 
 def test_a_viewer_stops_the_run_in_mid_sweep_and_the_map_so_far_is_kept(

@@ -12,7 +12,15 @@ from scipy.special import ndtr
 from thigmo.config import SAME_LENGTH_CM, SIGN, Side
 from thigmo.contact_status import SURE, narrow
 from thigmo.exploration.prior import KnownPlaces, match
-from thigmo.field import Atlas, FieldContact, Swept, contacts, read
+from thigmo.field import (
+    Atlas,
+    FieldContact,
+    PartialAnswer,
+    Swept,
+    contacts,
+    partial_answer,
+    read,
+)
 from thigmo.record import Explanation, MapContact, Obstacle
 from thigmo.robot import SweepResult
 from thigmo.robot.curvature import Floats
@@ -44,10 +52,20 @@ class FittedContact:
 
     def cells(self, length_cm: float) -> tuple[Floats, Floats]:
         """Middles (n,) of cells along a body, cm, and the posterior mass (n,) of each."""
-        edges = np.linspace(0.0, length_cm, max(round(length_cm / _CELL_CM), 1) + 1)
-        below = ndtr((edges[:, None] - self.arcs) / _SMOOTH_CM) @ self.weights
-        below[0], below[-1] = 0.0, 1.0  # what bears on the end lies in the last cell
-        return 0.5 * (edges[1:] + edges[:-1]), np.diff(below)
+        return cells(self.arcs, self.weights, length_cm, _SMOOTH_CM)
+
+
+def cells(
+    arcs: Floats, weights: Floats, length_cm: float, smooth_cm: float
+) -> tuple[Floats, Floats]:
+    """Middles (n,) of cells along a body, cm, and the mass (n,) that weighed arcs give each.
+
+    `smooth_cm`: one sigma by which an arc is spread.
+    """
+    edges = np.linspace(0.0, length_cm, max(round(length_cm / _CELL_CM), 1) + 1)
+    below = ndtr((edges[:, None] - arcs) / smooth_cm) @ weights
+    below[0], below[-1] = 0.0, 1.0  # what bears on the end lies in the last cell
+    return 0.5 * (edges[1:] + edges[:-1]), np.diff(below)
 
 
 def is_localized(contact: FieldContact, length_cm: float) -> bool:
@@ -91,6 +109,12 @@ class SideFits:
             known = self._fit(side)
             self._known[side] = len(self._sweeps[side]), known
         return known
+
+    def so_far(self, side: Side, sweep: SweepResult, body_pressure: int) -> PartialAnswer | None:
+        """What one side's sweeps say with a sweep that still goes on; None without a reading."""
+        sweeps = [*self._sweeps[side], Swept(sweep, body_pressure)]
+        prepared = read(sweeps, side, self._wiring)
+        return None if prepared is None else partial_answer(*prepared, self._atlas)
 
     def _fit(self, side: Side) -> list[FittedContact]:
         sweeps = self._sweeps[side]

@@ -17,8 +17,7 @@ from thigmo.link import protocol as wire
 from thigmo.robot import Robot, SweepResult
 from thigmo.stream import Command, Message, Posterior, Question
 
-# A viewer draws no faster, and a shape of the body comes each tenth of a second.
-_SWEEPING_S = 0.095
+_SWEEPING_S = 0.49  # robot time between two partial answers; each takes up to a tenth of a second
 
 
 class Live:
@@ -36,7 +35,7 @@ class Live:
     def sweeping(
         self, interpreter: Interpreter, so_far: SweepResult, body_pressure: int, length_cm: float
     ) -> None:
-        """Show what a sweep feels while it goes on, ten times a second.
+        """Show what a sweep feels while it goes on, twice a second.
 
         The map does not depend on it.
         """

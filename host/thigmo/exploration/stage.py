@@ -7,20 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
 
 from thigmo.config import SIDES, SIGN, Side
 from thigmo.contact_status import LIKELY
-from thigmo.exploration.fitted import FittedContact
+from thigmo.exploration.fitted import FittedContact, cells
 from thigmo.exploration.frame import localize_frame, point_estimates
 from thigmo.exploration.map import ContactMap
 from thigmo.exploration.measuring import caught_sides, curvature_deficit, pressed_enough
 from thigmo.exploration.methods import FIELD, THESIS
 from thigmo.exploration.scoring import judged
 from thigmo.exploration.workspace import Bend, centreline, common_error, measured_bend
-from thigmo.localization import METHODS
 from thigmo.record import MapContact, Obstacle, RunDocument, Shape, Stage, Trigger
 from thigmo.robot import TRIGGER_PER_CM, Peak, SensorTable, SweepResult, mean_peak
 from thigmo.robot.curvature import Floats
@@ -145,17 +145,37 @@ class Interpreter:
                 continue
             if self._thesis:
                 bent_at = measured_body_pressure if again else body_pressure
-                answers.append(self._by_frame(peak, bent_at, THESIS))
+                answers.append(self._by_frame(peak, bent_at))
             else:
                 answers.append(self._by_fit(peak, self._felt(side, sweep)))
         return answers
 
-    def so_far(self, so_far: SweepResult, body_pressure: int) -> SideAnswer | None:
-        """What the last frames of a sweep felt, for viewers; None where no sensor can be read."""
-        peak = so_far.peaks[-1]
+    def so_far(self, sweep: SweepResult, body_pressure: int) -> SideAnswer | None:
+        """What a sweep that goes on has felt, for viewers; None where no sensor can be read."""
+        peak = sweep.peaks[-1]
         if not self._use(peak).any():
             return None
-        return self._by_frame(peak, body_pressure, THESIS if self._thesis else METHODS[0])
+        if self._thesis:
+            return self._by_frame(peak, body_pressure)
+        partial = self.map.fits.so_far(peak.side, sweep, body_pressure)
+        if partial is None or not partial.arcs.size:
+            return None
+        places, mass = cells(
+            partial.arcs, partial.weights, peak.length_cm, 0.5 * partial.spacing_cm
+        )
+        low, high = np.interp((0.025, 0.975), np.cumsum(mass), places)
+        likely = partial.probability > LIKELY
+        return SideAnswer(
+            peak.side,
+            peak.length_cm,
+            self._shape(peak),
+            places,
+            mass,
+            "ambiguous" if likely else "no contact",
+            "one peg, while the sweep goes on",
+            f"{low:.0f} to {high:.0f} cm along the body, so far" if likely else "nothing, so far",
+            partial.probability,
+        )
 
     def _by_fit(self, peak: Peak, felt: Sequence[FittedContact]) -> SideAnswer:
         places, _ = felt[0].cells(peak.length_cm)
@@ -173,8 +193,8 @@ class Interpreter:
             max(contact.probability for contact in contacts),
         )
 
-    def _by_frame(self, peak: Peak, body_pressure: int, method: str) -> SideAnswer:
-        result = localize_frame(peak, self._wiring, body_pressure, method)
+    def _by_frame(self, peak: Peak, body_pressure: int) -> SideAnswer:
+        result = localize_frame(peak, self._wiring, body_pressure)
         return SideAnswer(
             peak.side,
             peak.length_cm,
@@ -184,7 +204,7 @@ class Interpreter:
             result.status,
             result.hypothesis,
             result.message,
-            float(0.5 * (1.0 + np.tanh(0.5 * result.log_odds))),
+            nan,
             tuple(
                 point_estimates(
                     result, peak, self._bend(peak), int(self._use(peak).sum()),

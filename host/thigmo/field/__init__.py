@@ -9,6 +9,7 @@ Called by the exploration for its map; docs/methods.md has the model.
 from thigmo.field.answer import FieldContact, contacts
 from thigmo.field.atlas import Atlas
 from thigmo.field.expected import ExpectedSweeps, expected_sweeps
+from thigmo.field.partial import PartialAnswer, partial_answer
 from thigmo.field.readings import Errors, Readings, Stage
 from thigmo.field.sweeps import Swept, fold_moment, read, stated
 
@@ -17,12 +18,14 @@ __all__ = [
     "Errors",
     "ExpectedSweeps",
     "FieldContact",
+    "PartialAnswer",
     "Readings",
     "Stage",
     "Swept",
     "contacts",
     "expected_sweeps",
     "fold_moment",
+    "partial_answer",
     "read",
     "stated",
 ]

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from math import nan
 
 import numpy as np
 from scipy.special import chdtri, softmax
-from threadpoolctl import ThreadpoolController
 
 from thigmo.field.atlas import Atlas
-from thigmo.field.fit import ALIKE, Mode
+from thigmo.field.fit import ALIKE, Mode, on_one_thread
 from thigmo.field.hypotheses import (
     BEND,
     FRICTION,
@@ -116,14 +115,8 @@ def contacts(
     `expected`: density of a given map at points (n, 2) of the skin, over that of a new obstacle.
     `meanwhile`: called often, since a fit takes seconds; an exception in it ends the fit.
     """
-    # Between threads, products of this size take up to 200 times as long on a busy computer.
-    with _blas().limit(limits=1, user_api="blas"):
+    with on_one_thread():
         return _contacts(Search(readings, errors, atlas, meanwhile), expected)
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def _contacts(search: Search, expected: Callable[[Floats], Floats] | None) -> list[FieldContact]:

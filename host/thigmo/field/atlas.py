@@ -100,7 +100,7 @@ class Atlas:
         self.step = _ROW_TURN / length_cm
         self.bends = np.arange(0.0, most_bend + 2 * self.step, self.step)
         self._cell = length_cm / _CELLS
-        self._arc_step, self._bend_step = _ARC_STEP * length_cm, _TURN_STEP / length_cm
+        self.arc_step, self.bend_step = _ARC_STEP * length_cm, _TURN_STEP / length_cm
         arcs = np.arange(_FIRST_ARC, 1 + _BEYOND, _ARC_STEP) * length_cm
         bends = np.arange(_TURN_STEP, most_bend * length_cm, _TURN_STEP) / length_cm
         self.touches = [(a, b) for a in arcs for b in bends if b < _MOST_TURN / a]
@@ -188,8 +188,8 @@ class Atlas:
         )  # fmt: skip
 
     def _apart(self, first: Place, second: Place) -> bool:
-        arcs = abs(first.arc - second.arc) / (_APART[0] * self._arc_step)
-        return max(arcs, abs(first.bend - second.bend) / (_APART[1] * self._bend_step)) > 1
+        arcs = abs(first.arc - second.arc) / (_APART[0] * self.arc_step)
+        return max(arcs, abs(first.bend - second.bend) / (_APART[1] * self.bend_step)) > 1
 
 
 def _averages(length: float, cell: float, centers: Floats, spans: Floats) -> Floats:

@@ -11,12 +11,15 @@ posterior weighs: where a body is not the model's, answers widen. docs/methods.m
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg.lapack import dposv
+from threadpoolctl import ThreadpoolController
 
 from thigmo.field._departures import Bins, normal_equations
 from thigmo.field.hypotheses import (
@@ -155,6 +158,20 @@ class Mode:
     precision: Floats  # (unknowns, unknowns) with the errors integrated out
     prior_precision: Floats  # (unknowns,) what of its diagonal was known before
     follow: Floats  # (count, unknowns) derivatives of the best errors by the unknowns
+
+
+def on_one_thread() -> AbstractContextManager[object]:
+    """Keep linear algebra on one thread.
+
+    Between threads, products of this size take up to 200 times as long on a busy computer.
+    """
+    limited: AbstractContextManager[object] = _thread_pools().limit(limits=1, user_api="blas")
+    return limited
+
+
+@cache
+def _thread_pools() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 class FieldFit:

@@ -204,14 +204,19 @@ class Hypothesis:
         z = (q - mean) / spread
         total = -0.5 * float(z @ z) - float(np.log(spread[known] * np.sqrt(2 * np.pi)).sum())
         for arc, bend, log_radius in self.rows(q)[: self.pegs]:
-            # The area that a step of arc and one of bend sweep, on the peg's centre.
-            across = max(1 - body.radius * (1 + np.exp(log_radius)) * bend, 0.05)
-            area = across * (1 - np.cos(min(arc * bend, np.pi))) / bend**2
-            total += float(np.log(ANOTHER * area / (REACH_AREA * body.longest**2)))
+            total += log_density(arc, bend, log_radius, body)
         return total + self.walls * float(np.log(ANOTHER / body.most_bend))
 
 
 NOTHING, PEG, PEGS, WALL = Hypothesis(), Hypothesis(1), Hypothesis(2), Hypothesis(walls=1)
+
+
+def log_density(arc: float, bend: float, log_radius: float, body: Body) -> float:
+    """Of one more peg, even over the plane, by the arc (cm) and bend (1/cm) of its touch."""
+    # The area that a step of arc and one of bend sweep, on the peg's centre.
+    across = max(1 - body.radius * (1 + np.exp(log_radius)) * bend, 0.05)
+    area = across * (1 - np.cos(min(arc * bend, np.pi))) / bend**2
+    return float(np.log(ANOTHER * area / (REACH_AREA * body.longest**2)))
 
 
 def touched(

@@ -127,8 +127,8 @@ class BodyShape(Message):
 
 @dataclass(frozen=True, slots=True)
 class Posterior(Message):
-    """Where along the body a contact is, as the localizer sees it: about ten times a second while a
-    sweep feels one, and after a stage's measurement.
+    """Where along the body a contact is, by all sweeps of a side: twice a second while one feels
+    something, and after a stage's measurement.
     """
 
     CHANNEL = "posterior"
@@ -137,11 +137,11 @@ class Posterior(Message):
     length_cm: float  #: everted length
     places_cm: tuple[float, ...]  #: (N,) middles of cells along the body; empty without a contact
     probability: tuple[float, ...]  #: (N,) mass of each cell; their sum is 1
-    status: str  #: the localizer's answer
+    status: str  #: "localized", "ambiguous", "no contact" or "point estimate"
     hypothesis: str  #: what explains the readings best
     message: str  #: the answer in words
     contact_probability: Number = nan  #: that there is any contact, 0 to 1
-    sweeping: bool = False  #: the sweep still runs, and this is from its last half second
+    sweeping: bool = False  #: the sweep still runs, and this is a first answer
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thigmo.field import Atlas, Errors, FieldContact, Readings, Stage, contacts
+from thigmo.field import (
+    Atlas,
+    Errors,
+    FieldContact,
+    Readings,
+    Stage,
+    contacts,
+    partial_answer,
+)
 from thigmo.field.answer import UNEXPLAINED_WORDS, _widened
 from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import (
@@ -210,6 +218,38 @@ def test_the_evidence_is_the_integral_over_the_errors() -> None:
     dense = np.log(np.trapezoid(np.exp(log - log.max()), xi) / np.sqrt(2 * np.pi)) + log.max()
     assert evidence == pytest.approx(dense, abs=1e-3)
     assert best[0] == pytest.approx(float(xi[np.argmax(log)]), abs=5e-3)
+
+
+def _first_bins(readings: Readings, count: int) -> Readings:
+    """The first bins of all sweeps."""
+    part = slice(count)
+    return replace(
+        readings, curvature=readings.curvature[part], noise=readings.noise[part],
+        bend=readings.bend[part], rate=readings.rate[part], stage=readings.stage[part],
+        sweep=readings.sweep[part], zeroing=readings.zeroing[part],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("arc", "bend"), [(33.0, 0.012), (45.0, 0.010), (51.0, 0.009)])
+def test_a_sweep_that_goes_on_says_where_a_peg_is(arc: float, bend: float, atlas: Atlas) -> None:
+    rng = np.random.default_rng(5)
+    sweeps = {length: _beside_peg(arc, bend, 0.8, length, rng)[0] for length in LENGTHS}
+    whole = _readings(sweeps)
+    until = whole.bend.size - FREE.size + int(np.searchsorted(FREE, bend))  # the last one's touch
+    answers = [
+        partial_answer(_first_bins(whole, until + after), _errors(), atlas) for after in (2, 4)
+    ]
+    for answer in answers:
+        assert answer.weights.sum() == pytest.approx(1.0)
+        assert answer.probability > 0.95
+        mean = answer.weights @ answer.arcs
+        assert mean == pytest.approx(arc, abs=1.2 * answer.spacing_cm)
+
+
+def test_a_sweep_that_has_touched_nothing_says_so(atlas: Atlas) -> None:
+    rng = np.random.default_rng(6)
+    readings = _readings({length: _untouched(length, rng) for length in LENGTHS})
+    assert partial_answer(_first_bins(readings, 30), _errors(), atlas).probability < 0.5
 
 
 def test_a_known_error_of_calibration_is_found() -> None:
