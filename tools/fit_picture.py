@@ -26,7 +26,8 @@ from thigmo.exploration.map import best_contact, of_stage
 from thigmo.exploration.recorded import recorded_sweeps
 from thigmo.field import Atlas, Readings, Swept, read
 from thigmo.field.hypotheses import PEG
-from thigmo.field.posterior import Samples, Search
+from thigmo.field.posterior import Samples, sample
+from thigmo.field.search import Search
 from thigmo.mechanics import Peg
 from thigmo.record import Ellipse as Spread
 from thigmo.record import MapContact, RunDocument, RunFolder
@@ -73,7 +74,7 @@ def fitted(folder: Path, document: RunDocument) -> Fitted:
     chains = search.ridges()
     mode = min((mode for chain in chains for mode in chain), key=lambda mode: mode.cost)
     mode = search.fit.solve(PEG, mode.q, mode.xi)
-    samples = search.sample(chains)
+    samples = sample(search, chains)
     assert samples is not None
     rng = np.random.default_rng(0)
     pegs = []

@@ -23,8 +23,9 @@ from thigmo.field.hypotheses import (
     WALL_BEND,
     Body,
 )
-from thigmo.field.posterior import ENOUGH, Samples, Search
+from thigmo.field.posterior import ENOUGH, Samples, laplace, sample
 from thigmo.field.readings import Errors, Flags, Floats, Indices, Readings
+from thigmo.field.search import Search
 
 # Log likelihood that a place must gain for a fit: with less, the prior odds of a place refuse it.
 LEAST_GAIN = 3.0
@@ -187,14 +188,14 @@ def _sampled(
 ) -> Samples | None:
     """Samples around modes; few, for their evidence alone, if the likeliest leaves too much."""
     most = _most_misfit(search.readings) / ALIKE
-    return search.sample(
-        chains, expected=expected, most_misfit=most, least_log_evidence=least_log_evidence
+    return sample(
+        search, chains, expected=expected, most_misfit=most, least_log_evidence=least_log_evidence
     )
 
 
 def _laplace(search: Search, chains: list[list[Mode]]) -> float:
     """Log evidence of the likeliest of modes, were its posterior a bell."""
-    return max((search.laplace(mode) for chain in chains for mode in chain), default=-np.inf)
+    return max((laplace(search, mode) for chain in chains for mode in chain), default=-np.inf)
 
 
 def _log_odds(search: Search, samples: Samples) -> float:

@@ -35,7 +35,9 @@ from thigmo.field.hypotheses import (
     untouched,
 )
 from thigmo.field.hypotheses import RADIUS as RADIUS_LOG
-from thigmo.field.posterior import Search, _Bell
+from thigmo.field.posterior import laplace
+from thigmo.field.proposals import Bell
+from thigmo.field.search import Search
 from thigmo.mechanics import Peg, Rod, Tube
 from thigmo_bench.studies.obstructed import Mechanics, Obstacles, Sweeper, Swept
 from thigmo_bench.studies.pegs import inflate, press
@@ -401,7 +403,7 @@ def test_a_wall_of_the_independent_rod_is_likelier_than_pegs(atlas: Atlas) -> No
     search = Search(_readings(rows), _errors(), atlas)
     (wall_mode,), *_ = search.walls()
     pegs = [mode for chain in search.ridges() + search.pairs() for mode in chain]
-    assert search.laplace(wall_mode) > max(map(search.laplace, pegs)) + 3.0
+    assert laplace(search, wall_mode) > max(laplace(search, peg) for peg in pegs) + 3.0
     assert wall_mode.q[:2] == pytest.approx([0.007, 0.35], rel=0.05)
     assert np.nanmin(swept[53.0].contacts[-1, 0, :, 0]) == pytest.approx(53.0)  # the end slides
 
@@ -520,8 +522,8 @@ def test_a_proposal_whose_friction_and_yield_have_no_sign_has_a_density_of_one()
     rng = np.random.default_rng(8)
     widths = np.array([1.0, 1e-3, 0.5, 0.1, 0.2, 0.2, 0.02])
     # Both lie near no friction and no yield, so that half of what is drawn is mirrored.
-    drawn_from = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.1, 0.05, 0.01]), np.diag(1.5 * widths**2))
-    wide = _Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.15, 0.1, 0.0]), np.diag(widths**2))
+    drawn_from = Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.1, 0.05, 0.01]), np.diag(1.5 * widths**2))
+    wide = Bell(np.array([30.0, 0.01, -0.5, 0.0, 0.15, 0.1, 0.0]), np.diag(widths**2))
     q = np.array([drawn_from.draw(rng) for _ in range(4000)])
     assert (q[:, 4:] >= 0.0).all()
     ratio = np.exp(wide.log_density(q) - drawn_from.log_density(q))
