@@ -482,8 +482,8 @@ LONG = (
 )
 # The rules were chosen while looking at rooms of the usual seed: the table has others.
 SEEDS = {
-    "exploration": ("--seed", "67", "--most", "5"),
-    "field": ("--seed", "97", "--most", "60"),
+    "exploration": ("--seed", "83", "--most", "5"),
+    "field": ("--seed", "101", "--most", "60"),
 }
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,
