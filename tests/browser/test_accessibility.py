@@ -92,19 +92,6 @@ def test_a_wall_is_drawn_as_a_line_and_a_guess_says_why_it_is_one(
     assert [lines.nth(n).get_attribute("stroke-dasharray") for n in range(2)] == [None, "7 5"]
 
 
-def test_a_sweep_that_leaves_a_localized_contacts_place_open_says_why(
-    page: Page, run: ScriptedRun
-) -> None:
-    run.feel()
-    expect(page.locator("#contact-rows tr")).to_have_count(1)
-    assert page.locator("#contacts-why").inner_text() == ""
-    run.believe(sweeping=False, status="ambiguous", message="two places fit alike")
-    expect(page.locator("#contacts-why")).to_have_text(
-        "The last sweep alone leaves the place open: two places fit alike. "
-        "The map weighs every stage."
-    )
-
-
 # Every number that the page shows: a hyphen before a digit would read as a minus sign, or not.
 HYPHENS = """() => [...document.querySelectorAll("text, td, output, .chip, .banner, #events .what")]
   .map((each) => each.textContent).filter((words) => /-\\d/.test(words))"""

@@ -80,7 +80,7 @@ def test_posterior_moves_with_the_body_in_mid_sweep(
     page.wait_for_function("() => thigmo.store.last.posterior?.sweeping")
     expect(page.locator("#doing")).to_contain_text("sweeping")
     expect(page.locator("#body")).to_contain_text(
-        "probability density of a contact, by this sweep so far"
+        "probability density of a contact, by the sweeps so far"
     )
     expect(page.locator('#room [data-layer="posterior"] path')).not_to_have_count(0)
     page.keyboard.press("Space")

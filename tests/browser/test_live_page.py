@@ -85,7 +85,7 @@ def test_posterior_of_mid_sweep_moves_with_the_body_until_the_contact_is_measure
     run.bend(0.006)
     run.believe(sweeping=True)
     density = page.locator("#body")
-    expect(density).to_contain_text("contact, by this sweep so far, left muscle")
+    expect(density).to_contain_text("contact, by the sweeps so far, left muscle")
     _drawn_otherwise(page, "")
     first = _ribbon(page)
     assert "dash" not in first
@@ -99,7 +99,7 @@ def test_posterior_of_mid_sweep_moves_with_the_body_until_the_contact_is_measure
     assert "dash" in _ribbon(page)
     run.bend(0.014)
     run.believe(sweeping=False)
-    expect(density).to_contain_text("contact, by the last sweep alone, left muscle")
+    expect(density).to_contain_text("contact, by all its sweeps, left muscle")
 
 
 def test_page_that_comes_in_the_next_sweep_shows_no_posterior_of_the_last_one(
@@ -115,7 +115,7 @@ def test_page_that_comes_in_the_next_sweep_shows_no_posterior_of_the_last_one(
     assert _ribbon(page) == ""
     run.state(state="GROW", stage_cm=60.0)  # and again at rest, until the next sweep
     expect(page.locator("#body")).to_contain_text(
-        "probability density of a contact, by the last sweep alone, left"
+        "probability density of a contact, by all its sweeps, left"
     )
 
 

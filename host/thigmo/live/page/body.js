@@ -76,9 +76,9 @@ function drawDensity({ y0, y1 }, X) {
     }
     const quantity = svg.clientWidth < NARROW ? "contact" : "probability density of a contact";
     const muscle = muscles().find((candidate) => candidate.side === side)?.name ?? side;
-    words = `${quantity}, by ${posterior.sweeping ? "this sweep so far" : "the last sweep alone"}, ${muscle} muscle`;
+    words = `${quantity}, by ${posterior.sweeping ? "the sweeps so far" : "all its sweeps"}, ${muscle} muscle`;
   } else if (posterior) {
-    words = `${posterior.sweeping ? "this sweep so far" : "the last sweep"}: ${posterior.status}`;
+    words = `${posterior.sweeping ? "the sweeps so far" : "all sweeps of this side"}: ${posterior.status}`;
   }
   text(layer, PAD.left, y0 - 8, words, { fill: "var(--soft)" });
   for (const contact of contacts?.contacts ?? []) {

@@ -7,7 +7,7 @@ import { line, make, minus, sized, text, ticks } from "./svg.js";
 
 const SIGMA_95 = 2.4477; // radius of the 95 % ellipse of a normal law in the plane
 const RIBBON_CM = 3.5; // height of the posterior at its peak
-const FRESH_S = .3; // for which a posterior of mid-sweep moves with the body
+const FRESH_S = .7; // for which a posterior of mid-sweep moves with the body
 const PAD = { left: 40, right: 10, top: 8, bottom: 34 };
 const NONE = { contacts: [], words: [] };
 const svg = $("room");

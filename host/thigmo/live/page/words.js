@@ -117,9 +117,8 @@ function doing(lost) {
 
 function drawContactRows() {
   const { contacts } = store.last;
-  if (listed.contacts === contacts && listed.posterior === store.last.posterior) return;
+  if (listed.contacts === contacts) return;
   listed.contacts = contacts;
-  listed.posterior = store.last.posterior;
   const rows = contacts?.contacts ?? [];
   $("contacts-count").textContent = rows.length || "";
   $("contacts-empty").hidden = rows.length > 0;
@@ -133,15 +132,6 @@ function drawContactRows() {
       element("td", {}, unbroken(force)),
       element("td", {}, chip, ...(contact.doubt ? [element("span", { class: "muted doubt" }, contact.doubt)] : [])));
   }));
-  drawWhy();
-}
-
-// Why the last sweep alone does not fix a place, beside contacts that the map is sure of.
-function drawWhy() {
-  const { contacts, posterior } = store.last;
-  const localized = contacts?.contacts.some((contact) => contact.status === "localized");
-  const doubts = localized && posterior?.status === "ambiguous" && !posterior.sweeping;
-  $("contacts-why").textContent = doubts ? `The last sweep alone leaves the place open: ${posterior.message}. The map weighs every stage.` : "";
 }
 
 function drawEvents() {
