@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from math import nan
 
-import numpy as np
-
 from thigmo.contact_status import POINT_ESTIMATE
 from thigmo.exploration.methods import THESIS
 from thigmo.exploration.workspace import Bend, place_contact
@@ -22,7 +20,7 @@ def localize_frame(peak: Peak, wiring: Wiring, body_pressure: int) -> LocalizeRe
     `body_pressure` is its number. Raises DataError if no sensor is usable.
     """
     table = SensorTable.laid_out(wiring)
-    use = table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
+    use = table.readable(peak.side, peak.sensors, peak.curvature)
     return localize(
         peak.curvature[use],
         table.center_cm[use],

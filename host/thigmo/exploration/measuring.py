@@ -45,7 +45,7 @@ def caught_sides(sweep: SweepResult, table: SensorTable) -> set[Side]:
     error = np.sqrt(np.diag(table.covariance))
     for side in SIDES:
         frames, readings = sweep.half(side)
-        use = table.usable(side, sweep.sensors) & np.isfinite(readings).all(axis=0)
+        use = table.readable(side, sweep.sensors, readings)
         if not frames or not use.any():
             continue
         free = np.array([frame.free_curvature for frame in frames])

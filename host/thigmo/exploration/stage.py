@@ -77,7 +77,7 @@ class Interpreter:
 
     def _use(self, peak: Peak) -> NDArray[np.bool_]:
         """Mask of the sensors that read a peak."""
-        return self._table.usable(peak.side, peak.sensors) & np.isfinite(peak.curvature)
+        return self._table.readable(peak.side, peak.sensors, peak.curvature)
 
     def felt_sides(self, sweep: SweepResult) -> set[Side]:
         """Sides on which a sweep that was taken touched something."""
@@ -295,7 +295,7 @@ def _swept_shapes(
     for side in SIDES:
         frames, readings = sweep.half(side)
         # A record with a gap may lack a sensor's zero.
-        use = table.usable(side, sweep.sensors) & np.isfinite(readings).all(axis=0)
+        use = table.readable(side, sweep.sensors, readings)
         if not use.any() or not frames:
             continue
         readings = readings[:, use]

@@ -80,7 +80,7 @@ def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings,
     number = 0
     for sweep, body_pressure in sweeps:
         for rise in _rises(sweep, side, config.muscle(side), body_pressure):
-            use = table.usable(side, sweep.sensors) & np.isfinite(rise.curvature).all(axis=0)
+            use = table.readable(side, sweep.sensors, rise.curvature)
             chosen = np.flatnonzero(rise.t_s >= rise.t_s[0] + swings_s)
             if chosen.size > _ENOUGH:  # white noise: what is left of second differences
                 rough = np.diff(rise.curvature[chosen], 2, axis=0).std(axis=0) / 6**0.5
@@ -95,7 +95,7 @@ def read(sweeps: Sequence[Swept], side: Side, wiring: Wiring) -> tuple[Readings,
                     response = float(rise.response[part].mean())
                     rows.append(_Bin(number, stage, y, 0.0 * y, part.size, *mean, half, response))
             peak = rise.peak
-            young = table.usable(side, peak.sensors) & np.isfinite(peak.curvature) & ~use
+            young = table.readable(side, peak.sensors, peak.curvature) & ~use
             if young.any():
                 y = np.where(young, peak.curvature, np.nan)
                 mean = peak.free_curvature, 0.0

@@ -194,3 +194,8 @@ class SensorTable:
         inactive = self.lies != SIGN[active]
         named = np.array([masks >> n & 1 for n in range(len(self.healthy))], dtype=np.bool_)
         return np.asarray(self.healthy & inactive & self.answers(SIGN[active]) & named)
+
+    def readable(self, active: Side, masks: int, curvature: Floats) -> NDArray[np.bool_]:
+        """The usable ones that have a reading: in one frame (n,), or in every one of (m, n)."""
+        read = np.isfinite(np.atleast_2d(curvature)).all(axis=0)
+        return np.asarray(self.usable(active, masks) & read)
