@@ -35,11 +35,11 @@ class Live:
     def sweeping(
         self, interpreter: Interpreter, so_far: SweepResult, body_pressure: int, length_cm: float
     ) -> None:
-        """Show what a sweep feels while it goes on, twice a second.
+        """Show what a sweep feels while it goes on, twice a second, if anybody looks.
 
         The map does not depend on it.
         """
-        if self._robot.now() - self._felt_s < _SWEEPING_S:
+        if not self._robot.hub.wanted(Posterior) or self._robot.now() - self._felt_s < _SWEEPING_S:
             return
         if (answer := interpreter.so_far(so_far, body_pressure)) is not None:
             self.posterior(length_cm, answer, sweeping=True)
