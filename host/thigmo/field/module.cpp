@@ -5,8 +5,9 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
-#include <array>
+#include <cstdint>
 #include <utility>
+#include <vector>
 
 #include "../owned_array.h"
 #include "departures.h"
