@@ -40,6 +40,9 @@ class Bins:
     def count(self) -> int:
         """Number of all errors."""
 
+    def bends(self, errors: Floats, spread: float) -> Floats:
+        """(n,) bends of the free body as the errors have it, 1/cm."""
+
     def departures(
         self, mean: Floats, shift: Floats, errors: Floats, spread: float
     ) -> tuple[

@@ -164,7 +164,7 @@ class Atlas:
         z, effect = d.noise.whitened(d.left), d.noise.whitened(d.effect.dense())
         factor = np.linalg.cholesky(effect.T @ effect + np.eye(fit.count))
         shared = np.linalg.solve(factor, effect.T)
-        whole, part = np.divmod(fit.bend(right) / self.step, 1)
+        whole, part = np.divmod(d.bend / self.step, 1)
         rows, u = np.minimum(whole.astype(np.intp), self.bends.size - 2), part[:, None]
         r = fit.readings
         changes = np.zeros((len(self.touches), *r.curvature.shape))

@@ -5,6 +5,18 @@
 
 namespace thigmo::field {
 
+std::vector<double> bends(const Bins& bins, const double* errors, double spread) {
+  std::vector<double> bends = bins.bend;
+  for (int i = 0; i < bins.bins; ++i) {
+    for (int j = 0; j < bins.on_bend_count; ++j) {
+      const double scale = bins.drifts[j] ? spread : 1.0;
+      bends[i] += bins.on_bend[i * bins.on_bend_count + j] * scale * errors[j];
+    }
+    bends[i] = std::clamp(bends[i], 0.0, bins.last_bend);
+  }
+  return bends;
+}
+
 Departures departures(const Bins& bins, const double* mean, const double* shift,
                       const double* errors, double spread) {
   const int n = bins.bins, m = bins.sensors, parts = bins.parts_count;
@@ -18,20 +30,18 @@ Departures departures(const Bins& bins, const double* mean, const double* shift,
   const double* by_model = by_zero + zeros * m;
   const auto cells = static_cast<std::size_t>(n) * m;
   Departures d;
-  for (auto* each : {&d.value, &d.left, &d.weight, &d.along, &d.answer}) each->resize(cells);
+  for (auto* values : {&d.value, &d.left, &d.weight, &d.along, &d.answer}) values->resize(cells);
   d.common.resize(cells * common);
   d.separate.resize(cells * separate);
-  d.bend.resize(n);
+  d.bend = bends(bins, errors, spread);
   d.row.resize(static_cast<std::size_t>(n) * parts);
   d.part.resize(static_cast<std::size_t>(n) * parts);
   std::vector<double> bend_by(on_bend);
   for (int i = 0; i < n; ++i) {
-    double bend = bins.bend[i];
+    const double bend = d.bend[i];
     for (int j = 0; j < on_bend; ++j) {
       bend_by[j] = bins.on_bend[i * on_bend + j] * (bins.drifts[j] ? spread : 1.0);
-      bend += bend_by[j] * errors[j];
     }
-    bend = d.bend[i] = std::clamp(bend, 0.0, bins.last_bend);
     // A touch is a kink, so the mean of a bin's readings is not the reading at its mean bend.
     for (int p = 0; p < parts; ++p) {
       const double inside = std::clamp(bend + bins.in_bin[i * parts + p], 0.0, bins.last_bend);
@@ -62,24 +72,24 @@ Departures departures(const Bins& bins, const double* mean, const double* shift,
       const double answer = back ? bins.against[q] + bins.against_error[q] * *by_against : 1.0;
       const double slope = gain * answer * rise;
       const std::size_t cell = static_cast<std::size_t>(i) * m + q;
-      double* of_all = &d.common[cell * common];
-      for (int j = 0; j < on_bend; ++j) of_all[j] = slope * bend_by[j];
-      of_all[on_bend] = back ? bins.against_error[q] * gain * true_curvature : 0.0;
-      double* of_one = &d.separate[cell * separate];
-      of_one[0] = spread * bins.gain[q] * answer * true_curvature;
-      of_one[1] = bins.place[q] * gain * answer * moved;
+      double* common_at = &d.common[cell * common];
+      for (int j = 0; j < on_bend; ++j) common_at[j] = slope * bend_by[j];
+      common_at[on_bend] = back ? bins.against_error[q] * gain * true_curvature : 0.0;
+      double* separate_at = &d.separate[cell * separate];
+      separate_at[0] = spread * bins.gain[q] * answer * true_curvature;
+      separate_at[1] = bins.place[q] * gain * answer * moved;
       double value = gain * answer * true_curvature;
       for (int j = 0; j < shared; ++j) {
-        of_all[on_bend + 1 + j] = bins.shared[cell * shared + j];
+        common_at[on_bend + 1 + j] = bins.shared[cell * shared + j];
         value += bins.shared[cell * shared + j] * by_shared[j];
       }
       for (int j = 0; j < zeros; ++j) {
-        of_one[2 + j] = bins.zeros[cell * zeros + j];
+        separate_at[2 + j] = bins.zeros[cell * zeros + j];
         value += bins.zeros[cell * zeros + j] * by_zero[j * m + q];
       }
       if (bins.model > 0.0) {
-        of_one[2 + zeros] = bins.model * (true_curvature - bend);
-        value += of_one[2 + zeros] * by_model[q];
+        separate_at[2 + zeros] = bins.model * (true_curvature - bend);
+        value += separate_at[2 + zeros] * by_model[q];
       }
       const double added = bins.model * (value - bend) / bins.deviation[cell];
       const double weight = 1.0 / (bins.deviation[cell] * std::sqrt(1.0 + added * added));
@@ -118,27 +128,27 @@ void normal_equations(int bins, int sensors, int common_count, int separate_coun
     double outwards_left = 0.0;
     for (int q = 0; q < sensors; ++q) {
       const std::size_t cell = static_cast<std::size_t>(i) * sensors + q;
-      const double* of_all = common + cell * common_count;
-      const double* of_one = separate + cell * separate_count;
+      const double* common_at = common + cell * common_count;
+      const double* separate_at = separate + cell * separate_count;
       const double precision = weight[cell] * weight[cell];
       const double u = weight[cell] * along[cell] / std::sqrt(1.0 + squared);
       outwards_left += u * left[cell];
       for (int r = 0; r < common_count; ++r) {
-        scaled[r] = precision * of_all[r];
-        outwards[r] += u * of_all[r];
+        scaled[r] = precision * common_at[r];
+        outwards[r] += u * common_at[r];
         right[r] += scaled[r] * left[cell];
         double* row = matrix + static_cast<std::size_t>(r) * all;
-        for (int c = 0; c <= r; ++c) row[c] += scaled[r] * of_all[c];
+        for (int c = 0; c <= r; ++c) row[c] += scaled[r] * common_at[c];
       }
       for (int k = 0; k < separate_count; ++k) {
         const int r = common_count + k * sensors + q;
-        if (of_one[k] == 0.0) continue;  // another sweep's
-        outwards[r] = u * of_one[k];
-        right[r] += precision * of_one[k] * left[cell];
+        if (separate_at[k] == 0.0) continue;  // another sweep's
+        outwards[r] = u * separate_at[k];
+        right[r] += precision * separate_at[k] * left[cell];
         double* row = matrix + static_cast<std::size_t>(r) * all;
-        for (int c = 0; c < common_count; ++c) row[c] += of_one[k] * scaled[c];
+        for (int c = 0; c < common_count; ++c) row[c] += separate_at[k] * scaled[c];
         for (int l = 0; l <= k; ++l) {
-          row[common_count + l * sensors + q] += precision * of_one[k] * of_one[l];
+          row[common_count + l * sensors + q] += precision * separate_at[k] * separate_at[l];
         }
       }
     }

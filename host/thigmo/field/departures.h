@@ -46,6 +46,9 @@ struct Departures {
   double squares = 0.0;                  // of `left`, whitened
 };
 
+// [bin] bends of the free body as the errors have it.
+std::vector<double> bends(const Bins& bins, const double* errors, double spread);
+
 // `mean`, `shift`: [stage][row][sensor] of the tables; `errors`: [count] in standard deviations;
 // `spread` scales those of gains and maps, which drift.
 Departures departures(const Bins& bins, const double* mean, const double* shift,

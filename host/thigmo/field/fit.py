@@ -225,7 +225,7 @@ class FieldFit:
         if r.response is not None:
             on_bend += [_RESPONSE_STD * r.response[:, None]]
             bend_bin = np.hypot(e.bend_bin, _RESPONSE_LEFT * r.response[:, None])
-        self._on_bend = np.hstack(on_bend)
+        on_bend_columns = np.hstack(on_bend)
         parts = [np.ones((n, 1, 1)) * e.zero[:, None]]
         if r.zeroing.max() == r.sweep.max():  # one sweep a zeroing: the two are one error
             parts += [sweeps[:, None] * np.hypot(e.zero_zeroing, e.zero_sweep)[:, None]]
@@ -236,19 +236,16 @@ class FieldFit:
         shared = np.zeros((n, m, 0))
         if e.shared.size:
             shared = np.einsum("nc,mj->nmcj", sweeps, e.shared).reshape(n, m, -1)
-        self._drifts = np.zeros(self._on_bend.shape[1], dtype=bool)
-        self._drifts[: 1 + pressures.shape[1]] = True  # the map's scales
+        drifts = np.zeros(on_bend_columns.shape[1], dtype=bool)
+        drifts[: 1 + pressures.shape[1]] = True  # the map's scales
         half_range = np.zeros(n) if r.half_range is None else r.half_range
-        unknown = np.ones(m), np.zeros(m)
-        against, against_error = (
-            default if stated is None else stated
-            for stated, default in zip((e.against, e.against_error), unknown, strict=True)
-        )
+        against = np.ones(m) if e.against is None else e.against
+        against_error = np.zeros(m) if e.against_error is None else e.against_error
         self._bins = Bins(
             curvature=r.curvature, deviation=self._deviation, bend=r.bend,
             bend_bin=np.ravel(bend_bin), standing=self.standing,
-            in_bin=half_range[:, None] * _IN_BIN, stage=r.stage, on_bend=self._on_bend,
-            drifts=self._drifts, shared=shared, zeros=zeros, gain=e.gain, place=e.place,
+            in_bin=half_range[:, None] * _IN_BIN, stage=r.stage, on_bend=on_bend_columns,
+            drifts=drifts, shared=shared, zeros=zeros, gain=e.gain, place=e.place,
             against=against, against_error=against_error, model=self.model, step=self.step,
             rows=self.bends.size,
         )  # fmt: skip
@@ -260,11 +257,11 @@ class FieldFit:
         self.of_sweeps = np.zeros(self.count, dtype=bool)
         first = 1 + 2 * pressures.shape[1]
         self.of_sweeps[first : first + 2 * sweeps.shape[1]] = True
-        self.of_sweeps[self._drifts.size + 1 : by_sensor] = True
+        self.of_sweeps[drifts.size + 1 : by_sensor] = True
         self.of_sweeps[zero_at + m : model_at] = True
         # Errors that drift: of maps and gains.
         self.drifting = np.zeros(self.count, dtype=bool)
-        self.drifting[: self._drifts.size] = self._drifts
+        self.drifting[: drifts.size] = drifts
         self.drifting[by_sensor : by_sensor + m] = True
         self._unit = np.eye(self.count)
 
@@ -282,10 +279,10 @@ class FieldFit:
         shift = np.zeros((*shape, m))
         by_q = np.zeros((*shape, m, hypothesis.unknowns))
         contacts = np.full((*shape, len(obstacles), 4), np.nan)
+        if not obstacles:
+            return Tables(obstacles, mean, shift, by_q, contacts)
         chain = hypothesis.moves(q, self.body)
         for s, (length, body_pressure) in enumerate(r.stages):
-            if not obstacles:
-                break
             if self._meanwhile is not None:
                 self._meanwhile()
             rows = self._rows[s]
@@ -314,9 +311,7 @@ class FieldFit:
 
     def bend(self, xi: Floats, spread: float = 1.0) -> Floats:
         """(n,) bends of the free body as the errors have it; `spread` scales drifts."""
-        along = xi[: self._drifts.size] * np.where(self._drifts, spread, 1.0)
-        bend: Floats = np.clip(self.readings.bend + self._on_bend @ along, 0.0, self.bends[-2])
-        return bend
+        return self._bins.bends(xi, spread)
 
     def departures(self, tables: Tables, xi: Floats, spread: float = 1.0) -> Departures:
         """What the sensors read, and the readings' departures from it.

@@ -92,6 +92,12 @@ NB_MODULE(_departures, m) {
           "place"_a, "against"_a, "against_error"_a, "model"_a, "step"_a, "rows"_a)
       .def_prop_ro("common", &Bins::common)
       .def_prop_ro("count", &Bins::count)
+      .def("bends",
+           [](const Bins& bins, const Numbers& errors, double spread) {
+             expect(static_cast<int>(errors.size()) == bins.count());
+             const std::size_t n = bins.bins;
+             return owned_array(thigmo::field::bends(bins, errors.data(), spread), {n});
+           })
       .def("departures", [](const Bins& bins, const Cube& mean, const Cube& shift,
                             const Numbers& errors, double spread) {
         const int stages = 1 + *std::max_element(bins.stage.begin(), bins.stage.end());

@@ -179,9 +179,9 @@ def _drawn(search: Search, q: Floats, mode: Mode, levels: Sequence[int], drift: 
         log, fitted, misfit = level.evidence(tables, xi, spread=spread, passes=MOST_EVIDENCE_PASSES)
         logs[n] = log + np.log(_MODEL_ODDS[n])
         if logs[n] == logs.max():
-            best, least = fitted, misfit
+            bend, least = level.bend(fitted, spread), misfit
     touch = np.full((len(search.readings.stages), hypothesis.obstacles, 5), np.nan)
-    k, u = np.divmod(fit.bend(best, spread)[search.peaks] / fit.step, 1)
+    k, u = np.divmod(bend[search.peaks] / fit.step, 1)
     for s, peak in enumerate(search.peaks):
         if peak >= 0:
             touch[s] = tables.touch(s, int(k[s]), u[s])

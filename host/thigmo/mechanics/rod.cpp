@@ -262,6 +262,7 @@ void Rod::remesh(double length) {
       }
     }
     jacobian_.clear();
+    slope_.clear();
   }
   bend_ = std::move(bend);
   scene_.length = length;
