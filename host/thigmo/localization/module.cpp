@@ -7,6 +7,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include "../owned_array.h"
 #include "answer.h"
 
 namespace nb = nanobind;
@@ -17,20 +18,13 @@ namespace {
 
 using Numbers = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Table = nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-template <int Dimensions>
-using Array = nb::ndarray<nb::numpy, double, nb::ndim<Dimensions>>;
 
 Row row(const Numbers& numbers) { return Row(numbers.data(), numbers.data() + numbers.size()); }
 
-// A new array that owns its numbers.
-template <int Dimensions>
-Array<Dimensions> array(Row values, const std::array<std::size_t, Dimensions>& shape) {
-  Row* kept = new Row(std::move(values));
-  nb::capsule owner(
-      kept, [](void* values_of_array) noexcept { delete static_cast<Row*>(values_of_array); });
-  return Array<Dimensions>(kept->data(), Dimensions, shape.data(), owner);
+// A copy that Python owns.
+nb::ndarray<nb::numpy, double> array(const Row& values) {
+  return owned_array(values, {values.size()});
 }
-Array<1> array(const Row& values) { return array<1>(values, {values.size()}); }
 
 Matrix matrix(const Table& table) {
   Matrix out(static_cast<int>(table.shape(0)), static_cast<int>(table.shape(1)));
@@ -215,7 +209,7 @@ NB_MODULE(_posterior, m) {
                        if (set.count == 2) mass[set.cell[0] * far + set.cell[1]] += set.mass;
                      }
                      return nb::make_tuple(edges(h.shares.contacts[0]), edges(h.shares.contacts[1]),
-                                           array<2>(std::move(mass), {near, far}));
+                                           owned_array(std::move(mass), {near, far}));
                    })
       .def_ro("touched", &Answer::touched)
       .def_prop_ro("bend", [](const Answer& a) { return array(a.bend); }, nb::rv_policy::reference);
@@ -282,8 +276,8 @@ NB_MODULE(_posterior, m) {
             if (all) std::copy(result.residual.begin(), result.residual.end(), &residuals[m * n]);
           }
         }
-        return nb::make_tuple(array<2>(std::move(rows), {count, kOfRow}),
-                              array<3>(std::move(contacts), {count, kContacts, kOfContact}), names,
-                              array<2>(std::move(residuals), {all ? count : 0, n}));
+        return nb::make_tuple(owned_array(std::move(rows), {count, kOfRow}),
+                              owned_array(std::move(contacts), {count, kContacts, kOfContact}),
+                              names, owned_array(std::move(residuals), {all ? count : 0, n}));
       });
 }
