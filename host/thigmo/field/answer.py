@@ -134,7 +134,7 @@ def _contacts(search: Search, expected: Callable[[Floats], Floats] | None) -> li
     # One peg may leave no more than is usual where two are touched at different lengths, or where a
     # second one is touched beyond it. So two are tried in any case; a wall as well, unless one peg
     # holds and is surely likelier.
-    pairs = partial(search.pairs, None if peg is None else peg.likeliest)
+    pairs = partial(search.pairs, None if peg is None else peg.likeliest, holds=holds)
     for modes_of_rival in (pairs, search.walls):
         chains, best = modes_of_rival(), explanations[0]
         if _laplace(search, chains) > best.log_evidence - _BY_MODE:

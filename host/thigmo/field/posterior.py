@@ -96,12 +96,19 @@ def sample(
     weight, round_shares = np.zeros(0), [1.0]
     readings = float(np.sum(~fit.missing))
     for done in range(1, ROUNDS + 1):
+        possible: list[tuple[Floats, float]] = []
         for n in rng.choice(len(round_shares), ROUND, p=round_shares):
             at = len(proposals) - len(round_shares) + n if n else 0
             counts[at] += 1
             q, drift = proposals[at].draw(rng), drifts.draw(rng)
             if hypothesis.possible(q, fit.body):
-                drawn.append(_drawn(search, q, modes[ridges.nearest(q[None])[0]], levels, drift))
+                possible.append((q, drift))
+        if possible:
+            nearest = ridges.nearest(np.array([q for q, _ in possible]))
+            drawn += [
+                _drawn(search, q, modes[near], levels, drift)
+                for (q, drift), near in zip(possible, nearest, strict=True)
+            ]
         if not drawn:
             continue
         q = np.array([d.q for d in drawn])

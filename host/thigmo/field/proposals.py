@@ -87,6 +87,7 @@ class Bell:
     def __init__(self, center: Floats, covariance: Floats) -> None:
         self._center = center
         self._factor = np.linalg.cholesky(covariance)
+        self._inverse = np.linalg.inv(self._factor)
         d = center.size
         self._norm = float(
             gammaln((_DOF + d) / 2) - gammaln(_DOF / 2) - 0.5 * d * np.log(_DOF * np.pi)
@@ -102,10 +103,9 @@ class Bell:
 
     def log_density(self, q: Floats) -> Floats:
         """(k,) logarithm of the density at unknowns (k, d), mirrored ones included."""
-        logs = []
-        for sign in _mirrors(q.shape[1]):
-            z = np.linalg.solve(self._factor, (q * sign - self._center).T)
-            logs.append(-0.5 * (_DOF + len(z)) * np.log1p(np.sum(z**2, axis=0) / _DOF))
+        d = self._center.size
+        z = (q * _mirrors(d)[:, None] - self._center) @ self._inverse.T
+        logs = -0.5 * (_DOF + d) * np.log1p(np.sum(z**2, axis=2) / _DOF)
         density: Floats = np.logaddexp.reduce(logs, axis=0) + self._norm
         return density
 

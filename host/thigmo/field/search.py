@@ -54,6 +54,9 @@ _ROUGHLY, _FINELY, _APART = 5, 2, 0.06
 # are proposed, as logarithms.
 _PLACES, _ASIDE = 2, 0.6
 _LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
+# Log probability by which two pegs must be likelier under the rough error than one that holds, to
+# be followed: the volume of three more unknowns takes more than that from their evidence.
+_LEAST_PAIR = 3.0
 # Touches of a second peg beside the likeliest one: arcs over the longest body, bends over the
 # highest. Between two ends there may be none of them, so the middle is tried as well.
 _SECOND_ARCS, _SECOND_BENDS = np.linspace(0.12, 1.05, 8), np.linspace(0.15, 0.95, 6)
@@ -177,11 +180,11 @@ class Search:
                 n += way
         return [nodes[n] for n in sorted(nodes)]
 
-    def pairs(self, peg: Floats | None = None) -> list[list[Mode]]:
+    def pairs(self, peg: Floats | None = None, *, holds: bool = False) -> list[list[Mode]]:
         """Modes of two pegs, in one chain: the likeliest one with free radii, and some beside it.
 
         `peg`: (7,) likeliest unknowns of a single one, beside which a second one is sought all over
-        the plane.
+        the plane. Where that one `holds`, two must be likelier under the rough error to be followed.
         """
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
@@ -209,8 +212,14 @@ class Search:
                 ]
             )
         radii = RADIUS, RADIUS + PEG_UNKNOWNS
-        solved = [mode for starts in groups for mode in self._likeliest(PEGS, starts, radii)]
-        shown = [mode for mode in solved if self._shows(mode)]
+        rough = [self._rough_modes(PEGS, starts, radii) for starts in groups]
+        if peg is not None and holds:
+            alone_cost = self._rough.solve(PEG, peg, passes=6).cost
+            least = min((modes[0].cost for modes in rough if modes), default=np.inf)
+            if least > alone_cost - 2 * _LEAST_PAIR:
+                return []
+        fine = [mode for modes in rough for mode in self._fine_modes(modes)]
+        shown = [mode for mode in fine if self._shows(mode)]
         if not shown:
             return []
         free = min(shown, key=lambda mode: mode.cost)
@@ -235,7 +244,7 @@ class Search:
             np.array([highest * bend, tilt, reach, AHEAD_MEAN, 0.0, *_LEAST])
             for bend, tilt, reach in product(bends, tilts, reaches)
         ]
-        solved = self._likeliest(WALL, starts, ())
+        solved = self._fine_modes(self._rough_modes(WALL, starts, ()))
         if not solved:
             return []
         whole = min(solved, key=lambda mode: mode.cost)
@@ -259,13 +268,13 @@ class Search:
         scaled = mode.precision[np.ix_(known, known)] * np.outer(wide[known], wide[known])
         return bool(np.linalg.eigvalsh(scaled).min() > 1.0)
 
-    def _likeliest(
+    def _rough_modes(
         self, hypothesis: Hypothesis, starts: Sequence[Floats], held: tuple[int, ...]
     ) -> list[Mode]:
-        """Modes near the likeliest starts; under the rough error q[held] are as these have it.
+        """Modes under the rough error near the likeliest starts, likeliest first, that lie apart.
 
-        No fit crosses an end, so the best start between any two ends is followed first. A start of
-        which an obstacle is never touched is one of fewer.
+        q[held] are as the starts have it. No fit crosses an end, so the best start between any two
+        ends is followed first. A start of which an obstacle is never touched is one of fewer.
         """
         rough = self._rough
         tried = []
@@ -291,9 +300,13 @@ class Search:
         followed.sort(key=lambda mode: mode.cost)
         distinct: list[Mode] = []
         for mode in followed:
-            if not any(self._touch_alike(mode, kept) for kept in distinct):
+            if not any(self._touch_alike(mode, earlier) for earlier in distinct):
                 distinct.append(mode)
-        return [self.fit.solve(hypothesis, mode.q) for mode in distinct[:_FINELY]]
+        return distinct
+
+    def _fine_modes(self, rough: Sequence[Mode]) -> list[Mode]:
+        """Modes without the rough error near the likeliest of those under it."""
+        return [self.fit.solve(mode.hypothesis, mode.q) for mode in rough[:_FINELY]]
 
     def _touch_alike(self, first: Mode, second: Mode) -> bool:
         """Whether the pegs of two modes are touched near the same arcs."""
