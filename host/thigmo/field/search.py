@@ -184,7 +184,8 @@ class Search:
         """Modes of two pegs, in one chain: the likeliest one with free radii, and some beside it.
 
         `peg`: (7,) likeliest unknowns of a single one, beside which a second one is sought all over
-        the plane. Where that one `holds`, two must be likelier under the rough error to be followed.
+        the plane. Where that one `holds`, two are followed only if they are likelier under the
+        rough error.
         """
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
