@@ -114,11 +114,11 @@ class Bells:
     """Bells around modes."""
 
     def __init__(self, bells: list[Bell], share: Floats) -> None:
-        self.learnt_bells, self._share = bells, share
+        self._bells, self._share = bells, share
 
     def draw(self, rng: np.random.Generator) -> Floats:
         """Unknowns."""
-        return self.learnt_bells[int(rng.choice(self._share.size, p=self._share))].draw(rng)
+        return self._bells[int(rng.choice(self._share.size, p=self._share))].draw(rng)
 
     def nearest(self, q: Floats) -> npt.NDArray[np.intp]:
         """(k,) the bells in which unknowns (k, d) most probably lie."""
@@ -131,7 +131,7 @@ class Bells:
         return density
 
     def _logs(self, q: Floats) -> Floats:
-        logs = [bell.log_density(q) for bell in self.learnt_bells]
+        logs = [bell.log_density(q) for bell in self._bells]
         return np.array(logs) + np.log(self._share)[:, None]
 
 

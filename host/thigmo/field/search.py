@@ -54,9 +54,6 @@ _ROUGHLY, _FINELY, _APART = 5, 2, 0.06
 # are proposed, as logarithms.
 _PLACES, _ASIDE = 2, 0.6
 _LEAST_PLACE = 3.0  # log likelihood that a length by itself gains by a place
-# Log probability by which two pegs must be likelier under the rough error than one that holds, to
-# be followed: the volume of three more unknowns takes more than that from their evidence.
-_LEAST_PAIR = 3.0
 # Touches of a second peg beside the likeliest one: arcs over the longest body, bends over the
 # highest. Between two ends there may be none of them, so the middle is tried as well.
 _SECOND_ARCS, _SECOND_BENDS = np.linspace(0.12, 1.05, 8), np.linspace(0.15, 0.95, 6)
@@ -184,8 +181,8 @@ class Search:
         """Modes of two pegs, in one chain: the likeliest one with free radii, and some beside it.
 
         `peg`: (7,) likeliest unknowns of a single one, beside which a second one is sought all over
-        the plane. Where that one `holds`, two are followed only if they are likelier under the
-        rough error.
+        the plane. Where that one `holds`, two are followed only if they are likelier than it under
+        the rough error.
         """
         places = list(self.places)
         for length in sorted({stage.length for stage in self.readings.stages}):
@@ -215,9 +212,9 @@ class Search:
         radii = RADIUS, RADIUS + PEG_UNKNOWNS
         rough = [self._rough_modes(PEGS, starts, radii) for starts in groups]
         if peg is not None and holds:
-            alone_cost = self._rough.solve(PEG, peg, passes=6).cost
-            least = min((modes[0].cost for modes in rough if modes), default=np.inf)
-            if least > alone_cost - 2 * _LEAST_PAIR:
+            alone = np.array([*peg[:PEG_UNKNOWNS], 0.0, *_LEAST])
+            cost = self._rough.solve(PEG, alone, passes=6, held=(RADIUS, *_shared(PEG))).cost
+            if all(mode.cost > cost for modes in rough for mode in modes):
                 return []
         fine = [mode for modes in rough for mode in self._fine_modes(modes)]
         shown = [mode for mode in fine if self._shows(mode)]
@@ -293,9 +290,8 @@ class Search:
             arcs = [row[ARC] for row in hypothesis.rows(q)[: hypothesis.pegs]]
             best.setdefault(tuple(self.readings.ends_before(arc) for arc in arcs), n)
         others = [n for n in range(len(tried)) if n not in best.values()]
-        shared = tuple(range(hypothesis.unknowns - SHARED_UNKNOWNS, hypothesis.unknowns))
         followed = [
-            rough.solve(hypothesis, q, xi, passes=6, held=held + shared)
+            rough.solve(hypothesis, q, xi, passes=6, held=held + _shared(hypothesis))
             for _, q, xi in (tried[n] for n in [*best.values(), *others][:_ROUGHLY])
         ]
         followed.sort(key=lambda mode: mode.cost)
@@ -317,3 +313,8 @@ class Search:
             for mode in (first, second)
         )
         return pegs > 0 and bool(np.abs(arcs - others).max() < _APART * self.fit.longest)
+
+
+def _shared(hypothesis: Hypothesis) -> tuple[int, ...]:
+    """Where the unknowns stand that all obstacles of a side share."""
+    return tuple(range(hypothesis.unknowns - SHARED_UNKNOWNS, hypothesis.unknowns))

@@ -391,6 +391,18 @@ def test_two_pegs_of_the_independent_rod_are_no_peg_between_them(
 
 
 @pytest.mark.sim
+def test_two_pegs_are_followed_only_where_they_are_likelier_than_one_that_holds(
+    atlas: Atlas,
+) -> None:
+    rng = np.random.default_rng(5)
+    rows = {length: _beside_peg(30.0, 0.011, 1.0, length, rng)[0] for length in LENGTHS}
+    search = Search(_readings(rows), _errors(), atlas)
+    peg = min((mode for chain in search.ridges() for mode in chain), key=lambda mode: mode.cost)
+    assert search.pairs(peg.q, holds=True) == []
+    assert search.pairs(peg.q) != []
+
+
+@pytest.mark.sim
 def test_a_wall_of_the_independent_rod_is_likelier_than_pegs(atlas: Atlas) -> None:
     body = Body(RADIUS, 53.0, 0.03, 0.1, 1.0)
     wall = faced(np.array([0.007, 0.35, -0.7, 0.6]), body)
