@@ -212,8 +212,8 @@ class Search:
         radii = RADIUS, RADIUS + PEG_UNKNOWNS
         rough = [self._rough_modes(PEGS, starts, radii) for starts in groups]
         if peg is not None and holds:
-            alone = np.array([*peg[:PEG_UNKNOWNS], 0.0, *_LEAST])
-            cost = self._rough.solve(PEG, alone, passes=6, held=(RADIUS, *_shared(PEG))).cost
+            single = np.array([*peg[:PEG_UNKNOWNS], 0.0, *_LEAST])
+            cost = self._rough.solve(PEG, single, passes=6, held=(RADIUS, *_shared(PEG))).cost
             if all(mode.cost > cost for modes in rough for mode in modes):
                 return []
         fine = [mode for modes in rough for mode in self._fine_modes(modes)]
