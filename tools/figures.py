@@ -482,7 +482,7 @@ LONG = (
 )
 # The rules were chosen while looking at rooms of the usual seed: the table has others.
 SEEDS = {
-    "exploration": ("--seed", "83", "--most", "5"),
+    "exploration": ("--seed", "89", "--most", "8"),
     "field": ("--seed", "101", "--most", "60"),
 }
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
