@@ -351,7 +351,7 @@ def _placed(
         },
         peg_radius_cm=_quantiles(radii, weight, (0.5, 0.5))[0] if is_peg else nan,
         friction=float(weight @ np.abs(q[:, FRICTION])),
-        yield_cm=float(weight @ (samples.compliance[weighed] * np.abs(force))),
+        yield_cm=float(weight @ (samples.compliance[weighed, obstacle] * np.abs(force))),
         gave_way_at=samples.gave_way_at,
     )
 

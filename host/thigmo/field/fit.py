@@ -50,7 +50,6 @@ _MET = 0.3  # log likelihood that the last pass for the errors may gain
 _DAMPING, _LEAST_DAMPING, _RAISED = 1e-2, 1e-4, 6.0
 _TRIES = 5  # of a step, each with more damping
 _GAIN = 0.02  # log likelihood below which a pass ends the fit
-_LEVER = 0.7  # of the longest body, where the force acts for which a yield is stated
 _LARGEST_TURN = 0.13  # rad at the end of the body, of one step of the touch's bend
 # From pressure to bend, a muscle and a body that swings respond as something between a first-order
 # lag and a pure delay of the same time: evenly anywhere between. What chains of 2 to 8 lags, or a
@@ -195,10 +194,10 @@ class FieldFit:
         self.step = row * ROW_TURN / self.longest
         top = BEYOND * float(readings.bend.max()) + 2 * self.step
         self.bends = np.arange(0.0, top + self.step, self.step)
-        force = float(readings.fold_moment.min()) / (_LEVER * self.longest)
         self.body = Body(
             readings.radius, self.longest, float(self.bends[-1]), errors.fold,
-            readings.radius / force, errors.base / self.longest, errors.base_error / self.longest,
+            readings.radius / float(readings.fold_moment.min()),
+            errors.base / self.longest, errors.base_error / self.longest,
         )  # fmt: skip
         self.missing = ~np.isfinite(readings.curvature)
         self._deviation = np.where(self.missing, np.inf, readings.noise * np.sqrt(ALIKE))
@@ -281,7 +280,7 @@ class FieldFit:
         contacts = np.full((*shape, len(obstacles), 4), np.nan)
         if not obstacles:
             return Tables(obstacles, mean, shift, by_q, contacts)
-        chain = hypothesis.moves(q, self.body)
+        chain, yield_units = hypothesis.moves(q, self.body), hypothesis.yield_units(q, self.body)
         for s, (length, body_pressure) in enumerate(r.stages):
             if self._meanwhile is not None:
                 self._meanwhile()
@@ -297,10 +296,8 @@ class FieldFit:
             mean[s, :rows], shift[s, :rows] = sweep.readings, sweep.by_place
             contacts[s, :rows] = sweep.contacts
             for p, moves in enumerate(chain):
-                by_place = sweep.by_obstacle[:, :, p, :5]
-                by_q[s, :rows, :, hypothesis.unknowns_of(p)] = by_place @ moves
-            yields = sweep.by_obstacle[..., 5].sum(axis=2) * self.body.yield_unit
-            by_q[s, :rows, :, YIELD] = yields
+                by_q[s, :rows, :, hypothesis.unknowns_of(p)] = sweep.by_obstacle[:, :, p] @ moves
+            by_q[s, :rows, :, YIELD] = sweep.by_obstacle[..., 5] @ yield_units
             if np.isfinite(critical):  # else the base does not fold
                 by_q[s, :rows, :, FOLD] = sweep.by_body[..., 0] * critical
             by_q[s, :rows, :, BASE] = sweep.by_body[..., 1] * self.longest

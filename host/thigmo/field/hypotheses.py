@@ -32,8 +32,8 @@ UNSIGNED = FRICTION, YIELD, BASE  # not negative
 # other: a bell so wide is nearly even there.
 FRICTION_STD, _MOST_FRICTION = 0.6, 0.75
 _LEAST_BASE_ERROR = 1e-4  # lengths: a base that was measured exactly
-# Tube radii that an obstacle yields, one sigma, under a force at seven tenths of the longest body
-# that would fold its base: a cushion, a cable, a peg on a foot.
+# Tube radii that an obstacle yields, one sigma, under the force that would fold the base from where
+# it is first touched: a cushion, a cable, a peg on a foot. Near the base that force is greater.
 YIELD_STD = 0.5
 # Logarithm of a peg's radius over the tube's: 0.1 to 2.3 of it, two sigma.
 RADIUS_MEAN, RADIUS_STD = float(np.log(0.45)), 0.8
@@ -67,7 +67,9 @@ class Body:
     longest: float  # everted length of the longest sweep
     most_bend: float  # 1/cm, beyond which the mechanics were not tabulated
     fold_error: float  # of the moment that folds the base, relative
-    yield_unit: float  # compliance (cm^3) of an obstacle that yields one tube radius, as above
+    # Compliance (cm^3), over the arc of its touch, of an obstacle that yields one tube radius to a
+    # force that folds the base from there
+    yield_unit: float
     base: float = 0.0  # compliance of the base over `longest`, and its error
     base_error: float = _LEAST_BASE_ERROR
 
@@ -78,9 +80,9 @@ class Hypothesis:
 
     Unknowns q (3 pegs + 4 walls + 4): of each peg the arc and the bend of its touch and the
     logarithm of its radius over the tube's; of each wall `WALL_BEND`, `TILT`, `REACH` and `AHEAD`;
-    then, shared, the logarithm of the fold's moment over the stated one; friction; what obstacles
-    yield, over `Body.yield_unit`; compliance of the base over `Body.longest`. The last three are
-    not negative.
+    then, shared, the logarithm of the fold's moment over the stated one; friction; what each
+    obstacle yields to a force that folds the base from there, over the tube's radius; compliance of
+    the base over `Body.longest`. The last three are not negative.
     """
 
     pegs: int = 0
@@ -124,12 +126,22 @@ class Hypothesis:
 
     def place(self, q: Floats, body: Body) -> list[Obstacle]:
         """The obstacles in the side's plane, pegs first."""
-        compliance = abs(float(q[YIELD])) * body.yield_unit if self.obstacles else 0.0
-        tube = body.radius
+        tube, compliances = body.radius, self.compliances(q, body)
         return [
             touched(row[ARC], row[BEND], float(np.exp(row[RADIUS])) * tube, tube, compliance)
             if n < self.pegs
             else faced(row, body, compliance)
+            for n, (row, compliance) in enumerate(zip(self.rows(q), compliances, strict=True))
+        ]
+
+    def compliances(self, q: Floats, body: Body) -> list[float]:
+        """What each obstacle yields to a force, cm^3."""
+        return [abs(float(q[YIELD])) * unit for unit in self.yield_units(q, body)]
+
+    def yield_units(self, q: Floats, body: Body) -> list[float]:
+        """Compliance (cm^3) of each obstacle for one of its unknown `YIELD`."""
+        return [
+            body.yield_unit * (float(row[ARC]) if n < self.pegs else body.longest)
             for n, row in enumerate(self.rows(q))
         ]
 
@@ -148,11 +160,17 @@ class Hypothesis:
         return np.array(points)
 
     def moves(self, q: Floats, body: Body) -> list[Floats]:
-        """Derivatives (5, .) of each obstacle's x, y, radius and last end by its unknowns."""
-        return [
+        """Derivatives (6, .) of each obstacle by its unknowns.
+
+        Of its x, y, radius, last end and compliance.
+        """
+        moves = [
             _peg_moves(row, body) if n < self.pegs else _wall_moves(row, body)
             for n, row in enumerate(self.rows(q))
         ]
+        for peg in moves[: self.pegs]:
+            peg[5, ARC] = abs(float(q[YIELD])) * body.yield_unit
+        return moves
 
     def possible(self, q: Floats, body: Body) -> bool:
         """Whether the straight body has room, and pegs do not overlap."""
@@ -235,7 +253,7 @@ def _peg_moves(row: Floats, body: Body) -> Floats:
     radius, turn = float(np.exp(log_radius)) * body.radius, arc * bend
     across = 1 / bend - body.radius - radius
     sine, cosine = float(np.sin(turn)), float(np.cos(turn))
-    moves = np.zeros((5, PEG_UNKNOWNS))
+    moves = np.zeros((6, PEG_UNKNOWNS))
     moves[:2, ARC] = bend * across * cosine, bend * across * sine
     moves[:2, BEND] = (
         arc * across * cosine - sine / bend**2,
@@ -268,7 +286,7 @@ def faced(row: Floats, body: Body, compliance: float = 0.0) -> Wall:
 
 
 def _wall_moves(row: Floats, body: Body) -> Floats:
-    moves = np.zeros((5, WALL_UNKNOWNS))
+    moves = np.zeros((6, WALL_UNKNOWNS))
     for n, step in enumerate((1e-5 / body.longest, 1e-5, 1e-5, 1e-5)):
         low, high = (
             np.array([wall.x, wall.y, wall.radius, wall.end_x, wall.end_y])
@@ -276,7 +294,7 @@ def _wall_moves(row: Floats, body: Body) -> Floats:
                 faced(row + way * step * np.eye(WALL_UNKNOWNS)[n], body) for way in (-1.0, 1.0)
             )
         )
-        moves[:, n] = (high - low) / (2 * step)
+        moves[:5, n] = (high - low) / (2 * step)
     return moves
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, Mode
-from thigmo.field.hypotheses import PEG, YIELD, Hypothesis
+from thigmo.field.hypotheses import PEG, Hypothesis
 from thigmo.field.proposals import (
     WIDER,
     Proposal,
@@ -43,7 +43,7 @@ class Samples:
     # (n, stages, obstacles, 5) arc, x, y, force, normal at each stage's last peak; NaN: none
     touch: Floats
     weight: Floats  # (n,) of sum one
-    compliance: Floats  # (n,) of the obstacles, cm^3
+    compliance: Floats  # (n, obstacles) cm^3
     misfit: float  # of the likeliest, over the number of readings
     log_evidence: float  # with the prior odds of the obstacles
     gave_way_at: float | None = None  # bend of the free body, 1/cm, from which on it was gone
@@ -141,7 +141,7 @@ def sample(
     return Samples(
         hypothesis, q, np.array([d.levels for d in drawn]),
         np.array([d.touch for d in drawn]), weight,
-        np.abs(q[:, YIELD]) * fit.body.yield_unit,
+        np.array([hypothesis.compliances(d.q, fit.body) for d in drawn]),
         best.misfit / readings, total, search.gave_way_at,
     )  # fmt: skip
 

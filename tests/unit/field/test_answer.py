@@ -45,7 +45,9 @@ def _samples(touch_bend: float, felt: tuple[bool, bool]) -> Samples:
     place = np.column_stack([arcs, 0.8 * arcs, 0.2 * arcs, 1.2 + 0 * arcs, 2e-4 + 0 * arcs])
     touch = np.stack([place if on else np.full_like(place, np.nan) for on in felt], axis=1)
     even = np.full(200, 1 / 200)
-    return Samples(PEG, q, np.ones((200, 1)), touch[:, :, None], even, 0.0 * arcs, 0.5, -10.0)
+    return Samples(
+        PEG, q, np.ones((200, 1)), touch[:, :, None], even, np.zeros((200, 1)), 0.5, -10.0
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,9 +95,9 @@ def test_the_face_of_a_wall_reaches_from_the_first_touch_to_the_last() -> None:
     touch = np.full((3, 2, 1, 5), np.nan)
     touch[:, 1, 0] = [53.0, *last, 2e-4, 1.2]
     even = np.full(3, 1 / 3)
-    samples = Samples(WALL, q, np.ones((3, 1)), touch, even, 0.0 * even, 0.5, -10.0)
+    samples = Samples(WALL, q, np.ones((3, 1)), touch, even, np.zeros((3, 1)), 0.5, -10.0)
     assert _face(samples, 0, body) == pytest.approx(np.array([first, last]), abs=1e-9)
-    pegs = Samples(PEG, q, np.ones((3, 1)), touch, even, 0.0 * even, 0.5, -10.0)
+    pegs = Samples(PEG, q, np.ones((3, 1)), touch, even, np.zeros((3, 1)), 0.5, -10.0)
     assert _face(pegs, 0, body).shape == (0, 2)
 
 
