@@ -67,9 +67,10 @@ class Mixture:
 
     def log_density(self, q: Floats) -> Floats:
         """(k,) logarithm of the density at unknowns (k, 7), mirrored ones included."""
-        mirrored = [self._logs(q * sign) for sign in _mirrors(q.shape[1])]
-        density: Floats = np.logaddexp.reduce(np.concatenate(mirrored, axis=1), axis=1)
-        return density + self._norm
+        mirrored = q * _mirrors(q.shape[1])[:, None]
+        logs = self._logs(mirrored.reshape(-1, q.shape[1])).reshape(*mirrored.shape[:2], -1)
+        density: Floats = np.logaddexp.reduce(logs, axis=(0, 2)) + self._norm
+        return density
 
     def _logs(self, q: Floats) -> Floats:
         off = q[:, None, RADIUS] - self._centers[:, RADIUS]
