@@ -21,7 +21,8 @@ _DRAWS, _LEAST_DRAWS = 8000, 60  # of a bell, for its part where nothing unsigne
 _TEMPER = 0.35  # exponent of the modes' weights among the proposals
 _TEMPERED = 25.0  # effective samples from which later rounds learn
 _LEAST_TEMPER = 1e-3  # power of the weights: some samples are impossible, whatever the power
-_SPREAD = 1.15  # of their covariance
+# Of their covariance: samples that lie near a mode agree before those of a wide tail are found.
+_SPREAD = 3.0
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
 _UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
