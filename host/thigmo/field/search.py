@@ -46,6 +46,7 @@ _CHAINS = 2  # of the likeliest; the likeliest between any two ends is followed 
 _ARC_NEAR = 1 / 53  # of the longest body: two starts so near lead to one mode
 _FAR = 60.0  # cost beyond which a mode is dropped, and
 _FALLEN = 25.0  # one beyond which the ridge is not followed
+_ROUGHLY_FAR = 300.0  # under the rough error: where no place explains the readings without it
 # Of the search for pairs and walls: starts that are followed under the rough error, and then
 # without it, if their touches lie so far apart (over the longest body): which of them is likeliest
 # a rough error does not say.
@@ -124,6 +125,8 @@ class Search:
         first.sort(key=lambda mode: mode.cost)
         begins: list[Mode] = []
         for mode in first:
+            if mode.cost > first[0].cost + _ROUGHLY_FAR:
+                break
             if not any(self._near(mode, begin) for begin in begins):
                 begins.append(mode)
         modes = [fit.solve(PEG, mode.q, passes=6, held=(RADIUS,)) for mode in begins]
