@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from emulated import last_stages, room_file
 
 import thigmo
 from thigmo.emulator.scene import Scene
@@ -101,7 +102,8 @@ class Viewers:
 class Watched:
     """One exploration with viewers, and the same one without.
 
-    The robot of this seed is not sure of its contact at once, and measures it.
+    A robot whose readings are three times as noisy is not sure of its contact at once, and measures
+    it.
     """
 
     def __init__(self, url: str, folder: Path) -> None:
@@ -115,8 +117,14 @@ class Watched:
 
 
 @pytest.fixture(scope="module")
-def run(late_url: str, tmp_path_factory: pytest.TempPathFactory) -> Watched:
-    return Watched(late_url, tmp_path_factory.mktemp("runs"))
+def run(tmp_path_factory: pytest.TempPathFactory) -> Watched:
+    scene = last_stages()
+    for part in (scene.noise, scene.belief):
+        for attribute, value in part.model_dump().items():
+            if attribute != "hysteresis_width":
+                setattr(part, attribute, 3.0 * value)
+    url = room_file(tmp_path_factory.mktemp("late"), scene, "late")
+    return Watched(url, tmp_path_factory.mktemp("runs"))
 
 
 def _plain(folder: Path) -> dict[str, Any]:
