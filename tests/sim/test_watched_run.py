@@ -72,7 +72,7 @@ class Watcher:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(MODULE, "connect", self.connect)
             patch.setattr(MODULE, "RunControl", lambda: self.control)
-            return explore(url, out=out, **{"seed": 1} | options)
+            return explore(url, seed=1, out=out, **options)
 
 
 class Viewers:
@@ -107,11 +107,10 @@ class Watched:
     """
 
     def __init__(self, url: str, folder: Path) -> None:
-        chosen: dict[str, Any] = {"seed": 4, "effort": "careful"}
-        self.alone = explore(url, out=folder, name="alone", **chosen)
+        self.alone = explore(url, seed=1, out=folder, name="alone")
         self.viewers, self.watcher = Viewers(), Watcher()
         self.watched = self.watcher.explore(
-            url, folder, name="watched", progress=self.viewers.progress, **chosen
+            url, folder, name="watched", progress=self.viewers.progress
         )
         self.viewers.leave()
 
