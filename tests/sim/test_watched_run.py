@@ -118,10 +118,7 @@ class Watched:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Watched:
     scene = last_stages()
-    for part in (scene.noise, scene.belief):
-        for attribute, value in part.model_dump().items():
-            if attribute != "hysteresis_width":
-                setattr(part, attribute, 3.0 * value)
+    scene.rescale_errors(3.0)
     url = room_file(tmp_path_factory.mktemp("late"), scene, "late")
     return Watched(url, tmp_path_factory.mktemp("runs"))
 

@@ -349,6 +349,13 @@ class Scene(Model):
             Wall(w.x, w.y, w.end_x, w.end_y, w.radius, w.compliance_cm3) for w in self.walls
         )
 
+    def rescale_errors(self, factor: float) -> None:
+        """Multiply the noise, and the errors of the lab's calibration; loops keep their width."""
+        for part in (self.noise, self.belief):
+            for attribute, value in part.model_dump().items():
+                if attribute != "hysteresis_width":
+                    setattr(part, attribute, value * factor)
+
     def believed(self, seed: int | None = None) -> RobotConfig:
         """The robot.toml that the scene's lab would have: the truth, with its errors drawn.
 

@@ -337,10 +337,7 @@ def visit(room: Room) -> Run:
     name, seed, setting, method = room
     kind, explored = KINDS[name], Explored(name, seed, setting)
     scene = Scene.load(kind.scene)
-    for part in (scene.noise, scene.belief):
-        for attribute, value in part.model_dump().items():
-            if attribute != "hysteresis_width":
-                setattr(part, attribute, value * kind.noise)
+    scene.rescale_errors(kind.noise)
     known = scene.believed(seed)
     rng = np.random.default_rng([seed, 0x9E6])
     for side in scene.robot.sides:
