@@ -309,6 +309,8 @@ def _placed(
     off = wider * (place - mean)
     shape = _LENGTH_CM**2 + end * (_END_STD * readings.radius) ** 2
     covariance = (mass[:, None] * off).T @ off + shape * np.eye(3)
+    arc_std = float(np.sqrt(mass @ off[:, 0] ** 2))
+    arc_off = off[:, 0] * min(1.0, 0.5 * length / max(arc_std, _LENGTH_CM))
     along = np.linspace(*interval, _TRACK)[:, None] - mean[0]
     turn = np.angle(weight @ np.exp(1j * normal))
     lengths_cm = sorted({round(readings.stages[s].length, 2) for s in reached})
@@ -328,11 +330,11 @@ def _placed(
         interval_cm=interval,
         x_cm=float(mean[1]),
         y_cm=float(mean[2]),
-        covariance_cm2=covariance[1:, 1:],
+        covariance_cm2=_on_the_body(covariance[1:, 1:], length),
         normal_rad=float(turn),
         force_per_cm2=float(weight @ np.abs(force)),
         force_interval_per_cm2=_quantiles(np.abs(force), weight, (0.025, 0.975)),
-        arcs=mean[0] + off[:, 0],
+        arcs=mean[0] + arc_off,
         weights=mass,
         track=mean[1:] + along * covariance[0, 1:] / covariance[0, 0],
         probability=float(1 / (1 + np.exp(-log_odds))) * float(shares[stage]),
@@ -354,6 +356,16 @@ def _placed(
         yield_cm=float(weight @ (samples.compliance[weighed, obstacle] * np.abs(force))),
         gave_way_at=samples.gave_way_at,
     )
+
+
+def _on_the_body(covariance: Floats, length_cm: float) -> Floats:
+    """A covariance (n, n), narrowed where it says less than that a contact lies on the body.
+
+    No distribution of places along it has a standard deviation above half of its length.
+    """
+    w, v = np.linalg.eigh(covariance)
+    narrowed: Floats = (v * np.minimum(w, (0.5 * length_cm) ** 2)) @ v.T
+    return narrowed
 
 
 def _at_an_end(arcs: Floats, readings: Readings) -> Flags:

@@ -118,6 +118,20 @@ def test_samples_that_are_a_quarter_of_enough_place_half_as_well() -> None:
     assert _spread([many]) == pytest.approx(UNMODELLED * many.touch[:, 1, 0, 1:3].std(axis=0))
 
 
+def test_what_no_model_explains_is_somewhere_along_the_body() -> None:
+    one = np.zeros(200)
+    one[:2] = 0.98, 0.02
+    unexplained = replace(_samples(0.009, (True, True)), weight=one, misfit=60.0)
+    contact = _placed(_readings(), [unexplained], 0, 9.0, UNEXPLAINED_WORDS, face=np.zeros((0, 2)))
+    assert contact is not None
+    assert contact.interval_cm == (0.0, 53.0)
+    widest = np.sqrt(np.linalg.eigvalsh(contact.covariance_cm2)[-1])
+    assert widest == pytest.approx(53.0 / 2)
+    assert np.sqrt(contact.weights @ (contact.arcs - contact.arc_cm) ** 2) == pytest.approx(
+        53.0 / 2
+    )
+
+
 def test_a_touch_near_any_stops_end_may_be_farther_back() -> None:
     """A flat end reaches a peg beside it sooner than a round one does."""
     radius = _readings().radius
