@@ -130,8 +130,8 @@ def _core(obstacle: Obstacle) -> list[Point]:
 
 
 def _obstacle(contact: MapContact) -> Obstacle:
-    # What stopped the growth bent nothing.
-    side = {1.0: "right", -1.0: "left"}.get(np.sign(contact.force_per_cm2), "tip")
+    # What stopped the growth bent nothing, nor does what a sweep slipped past at each peak.
+    side = {1.0: "right", -1.0: "left"}.get(np.sign(contact.force_per_cm2), contact.side or "tip")
     return Obstacle(
         x_cm=contact.x_cm,
         y_cm=contact.y_cm,

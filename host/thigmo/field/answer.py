@@ -13,6 +13,7 @@ from scipy.special import chdtri, softmax
 from thigmo.field.atlas import Atlas
 from thigmo.field.fit import ALIKE, Mode, on_one_thread
 from thigmo.field.hypotheses import (
+    ARC,
     BEND,
     FRICTION,
     PEG,
@@ -22,6 +23,7 @@ from thigmo.field.hypotheses import (
     WALL,
     WALL_BEND,
     Body,
+    nearest_on,
 )
 from thigmo.field.posterior import ENOUGH, Samples, laplace, sample
 from thigmo.field.readings import Errors, Flags, Floats, Indices, Readings
@@ -125,6 +127,8 @@ def _contacts(search: Search, expected: Callable[[Floats], Floats] | None) -> li
     peg = _one_peg(search, expected)
     holds = peg is not None and _explains(peg, readings) and peg.misfit * ALIKE <= _USUAL
     gone = None if holds else _gave_way(search, expected)
+    if peg is not None and gone is not None and not _explains(gone, readings):
+        gone = None  # a peg that stands is the safer of two that explain nothing
     explanations = [samples for samples in (peg, gone) if samples is not None]
     if not explanations:
         return []
@@ -223,15 +227,34 @@ def _most_misfit(readings: Readings) -> float:
 
 def _answer(search: Search, explanations: list[Samples], doubt: str) -> list[FieldContact]:
     """The contacts of the likeliest explanation, the first."""
-    best = explanations[0]
-    placed = (
+    likeliest, *rivals = explanations
+    best = _touched_in_passing(likeliest, search.readings, search.fit.body)
+    return [
         _placed(
-            search.readings, explanations, n, _log_odds(search, best), doubt,
+            search.readings, [best, *rivals], n, _log_odds(search, best), doubt,
             face=_face(best, n, search.fit.body),
         )
         for n in range(best.hypothesis.obstacles)
-    )  # fmt: skip
-    return [contact for contact in placed if contact is not None]
+    ]  # fmt: skip
+
+
+def _touched_in_passing(samples: Samples, readings: Readings, body: Body) -> Samples:
+    """Samples with the longest body's first touch, without force, of what no peak of a sweep shows.
+
+    A body may slip past an obstacle before each peak.
+    """
+    touch = samples.touch.copy()
+    longest = int(np.argmax([stage.length for stage in readings.stages]))
+    for n in range(samples.hypothesis.obstacles):
+        if (samples.weight @ np.isfinite(touch[:, :, n, 0])).max() > 0.5:
+            continue
+        for i, q in enumerate(samples.q):
+            x, y = samples.hypothesis.skin(q, body)[n]
+            near_x, near_y = nearest_on(samples.hypothesis.place(q, body)[n], x, y)
+            row = samples.hypothesis.rows(q)[n]
+            arc = row[ARC] if n < samples.hypothesis.pegs else body.longest
+            touch[i, longest, n] = arc, x, y, 0.0, np.arctan2(near_y - y, near_x - x)
+    return replace(samples, touch=touch)
 
 
 def _face(samples: Samples, obstacle: int, body: Body) -> Floats:
@@ -265,7 +288,7 @@ def _placed(
     doubt: str,
     *,
     face: Floats,
-) -> FieldContact | None:
+) -> FieldContact:
     """One of the likeliest explanation's obstacles where the last sweep that reached it touched it.
 
     The errors of its place include what the other explanations have there, by their probabilities.
@@ -275,8 +298,6 @@ def _placed(
     touches = np.isfinite(touch[:, :, 0])  # (n, stages)
     shares = samples.weight @ touches
     reached = np.flatnonzero(shares > 0.5)
-    if not reached.size:
-        return None
     last_sweep = [readings.sweep[readings.stage == s].max() for s in range(len(readings.stages))]
     stage = int(max(reached, key=lambda s: last_sweep[s]))
     weight = _widened(np.where(touches[:, stage], samples.weight, 0.0))
@@ -293,6 +314,10 @@ def _placed(
         masses.append(probability * weights)
     place, mass = np.concatenate(places), np.concatenate(masses)
     mass /= mass.sum()
+    scarce = np.count_nonzero(touches[:, stage]) < ENOUGH
+    if scarce:  # too few to say how far they spread: all along the body
+        place = np.linspace(0.0, length / mean[0], _TRACK)[:, None] * mean
+        mass = np.full(_TRACK, 1 / _TRACK)
     low, high = _quantiles(place[:, 0], mass, (0.025, 0.975))
     leaves = samples.misfit * ALIKE
     # What the model leaves beyond that is taken for more noise; and few samples that agree are as
@@ -307,7 +332,7 @@ def _placed(
         min(float(mean[0] + wider * (high - mean[0])) + _LENGTH_CM, length),
     )
     off = wider * (place - mean)
-    shape = _LENGTH_CM**2 + end * (_END_STD * readings.radius) ** 2
+    shape = _LENGTH_CM**2 + end * (_END_STD * readings.radius) ** 2 + scarce * length**2
     covariance = (mass[:, None] * off).T @ off + shape * np.eye(3)
     arc_std = float(np.sqrt(mass @ off[:, 0] ** 2))
     arc_off = off[:, 0] * min(1.0, 0.5 * length / max(arc_std, _LENGTH_CM))

@@ -17,6 +17,7 @@ from thigmo.field.answer import (
     _doubt,
     _face,
     _placed,
+    _touched_in_passing,
 )
 from thigmo.field.fit import ALIKE
 from thigmo.field.hypotheses import PEG, PEGS, WALL, Body, faced
@@ -64,7 +65,6 @@ def test_a_touch_that_no_reading_shows_is_placed_by_two_lengths_and_not_by_one(
     contact = _placed(
         _readings(), [_samples(touch_bend, felt)], 0, 9.0, "", face=np.zeros((0, 2)),
     )  # fmt: skip
-    assert contact is not None
     assert contact.places == places
     assert (contact.doubt == EARLY_WORDS) == (not places)
 
@@ -76,11 +76,9 @@ def test_a_touch_of_the_end_is_as_unsure_as_the_shape_of_the_end() -> None:
         _placed(_readings(), [samples], 0, 9.0, "", face=np.zeros((0, 2)))
         for samples in (inside, replace(inside, touch=ahead))
     ]
-    assert contacts[0] is not None
-    assert contacts[1] is not None
     added = contacts[1].covariance_cm2 - contacts[0].covariance_cm2
     assert added == pytest.approx(0.875**2 * np.eye(2), rel=0.1)
-    low = [contact.arc_cm - contact.interval_cm[0] for contact in contacts if contact]
+    low = [contact.arc_cm - contact.interval_cm[0] for contact in contacts]
     assert low[1] - low[0] == pytest.approx(1.75, rel=0.1)  # a tube radius
 
 
@@ -104,7 +102,6 @@ def test_the_face_of_a_wall_reaches_from_the_first_touch_to_the_last() -> None:
 def _spread(explanations: list[Samples]) -> np.ndarray:
     """Standard deviations of the place that explanations give, in x and y."""
     contact = _placed(_readings(), explanations, 0, 9.0, "", face=np.zeros((0, 2)))
-    assert contact is not None
     return np.sqrt(np.diag(contact.covariance_cm2) - 0.01)  # but for the everted length's error
 
 
@@ -123,12 +120,39 @@ def test_what_no_model_explains_is_somewhere_along_the_body() -> None:
     one[:2] = 0.98, 0.02
     unexplained = replace(_samples(0.009, (True, True)), weight=one, misfit=60.0)
     contact = _placed(_readings(), [unexplained], 0, 9.0, UNEXPLAINED_WORDS, face=np.zeros((0, 2)))
-    assert contact is not None
     assert contact.interval_cm == (0.0, 53.0)
     widest = np.sqrt(np.linalg.eigvalsh(contact.covariance_cm2)[-1])
     assert widest == pytest.approx(53.0 / 2)
     assert np.sqrt(contact.weights @ (contact.arcs - contact.arc_cm) ** 2) == pytest.approx(
         53.0 / 2
+    )
+
+
+def test_too_few_draws_place_a_contact_nowhere() -> None:
+    many = _samples(0.009, (True, True))
+    few = replace(
+        many, q=many.q[:3], model=many.model[:3], touch=many.touch[:3], weight=np.full(3, 1 / 3),
+        compliance=many.compliance[:3],
+    )  # fmt: skip
+    contact = _placed(_readings(), [few], 0, 9.0, UNEXPLAINED_WORDS, face=np.zeros((0, 2)))
+    assert contact.interval_cm == (0.0, 53.0)
+    assert np.sqrt(np.linalg.eigvalsh(contact.covariance_cm2)) == pytest.approx([26.5, 26.5])
+
+
+def test_a_contact_that_no_peak_shows_is_where_the_free_body_first_touched_it() -> None:
+    body = Body(radius=1.75, longest=53.0, most_bend=0.03, fold_error=0.1, yield_unit=1.0)
+    passed = _touched_in_passing(_samples(0.009, (False, False)), _readings(), body)
+    contact = _placed(_readings(), [passed], 0, 9.0, "", face=np.zeros((0, 2)))
+    turn = 45.0 * 0.009
+    skin = (np.sin(turn), 1 - np.cos(turn)) / np.array(0.009)
+    skin += 1.75 * np.array([-np.sin(turn), np.cos(turn)])
+    assert contact.arc_cm == pytest.approx(45.0, abs=0.2)
+    assert (contact.x_cm, contact.y_cm) == pytest.approx(skin, abs=0.2)
+    assert contact.normal_rad == pytest.approx(turn + np.pi / 2, abs=0.02)
+    assert contact.force_per_cm2 == 0.0
+    touched = _samples(0.009, (True, False))
+    assert np.array_equal(
+        _touched_in_passing(touched, _readings(), body).touch, touched.touch, equal_nan=True
     )
 
 

@@ -574,3 +574,4 @@ def test_readings_that_no_peg_explains_place_nothing(atlas: Atlas) -> None:
             read[:], _ = _beside_peg(20.0, 0.016, 1.0, length, rng)
     answer = contacts(_readings(rows), _errors(), atlas)
     assert all(not contact.places and contact.doubt for contact in answer)
+    assert all(contact.gave_way_at is None for contact in answer)
