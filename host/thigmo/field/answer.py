@@ -248,11 +248,13 @@ def _touched_in_passing(samples: Samples, readings: Readings, body: Body) -> Sam
     for n in range(samples.hypothesis.obstacles):
         if (samples.weight @ np.isfinite(touch[:, :, n, 0])).max() > 0.5:
             continue
+        at = samples.hypothesis.unknowns_of(n).start + ARC
         for i, q in enumerate(samples.q):
-            x, y = samples.hypothesis.skin(q, body)[n]
+            reached, arc = q.copy(), body.longest
+            if n < samples.hypothesis.pegs:  # of what lies ahead of the end, the end
+                arc = reached[at] = min(q[at], body.longest)
+            x, y = samples.hypothesis.skin(reached, body)[n]
             near_x, near_y = nearest_on(samples.hypothesis.place(q, body)[n], x, y)
-            row = samples.hypothesis.rows(q)[n]
-            arc = row[ARC] if n < samples.hypothesis.pegs else body.longest
             touch[i, longest, n] = arc, x, y, 0.0, np.arctan2(near_y - y, near_x - x)
     return replace(samples, touch=touch)
 
@@ -314,8 +316,8 @@ def _placed(
         masses.append(probability * weights)
     place, mass = np.concatenate(places), np.concatenate(masses)
     mass /= mass.sum()
-    scarce = np.count_nonzero(touches[:, stage]) < ENOUGH
-    if scarce:  # too few to say how far they spread: all along the body
+    scarce = 0.5 * ENOUGH * np.sum(weight**2) > 1.0
+    if scarce:  # too few agree to say how far they spread: all along the body
         place = np.linspace(0.0, length / mean[0], _TRACK)[:, None] * mean
         mass = np.full(_TRACK, 1 / _TRACK)
     low, high = _quantiles(place[:, 0], mass, (0.025, 0.975))
@@ -328,8 +330,8 @@ def _placed(
     end = float(mass @ _at_an_end(place[:, 0], readings))
     by_shape = _END * readings.radius * end
     interval = (
-        max(float(mean[0] - wider * (mean[0] - low)) - _LENGTH_CM - by_shape, 0.0),
-        min(float(mean[0] + wider * (high - mean[0])) + _LENGTH_CM, length),
+        max(float(mean[0] - wider * max(mean[0] - low, 0.0)) - _LENGTH_CM - by_shape, 0.0),
+        min(float(mean[0] + wider * max(high - mean[0], 0.0)) + _LENGTH_CM, length),
     )
     off = wider * (place - mean)
     shape = _LENGTH_CM**2 + end * (_END_STD * readings.radius) ** 2 + scarce * length**2

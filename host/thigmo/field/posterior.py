@@ -128,8 +128,7 @@ def sample(
         total = float(logsumexp(logs) - np.log(counts.sum()))
         best = drawn[int(np.argmax(weight))]
         hopeless = best.misfit > most_misfit * readings or total < least_log_evidence
-        hopeless &= done >= _FEW_ROUNDS and len(drawn) >= ENOUGH
-        if ENOUGH * np.sum(weight**2) < 1 or hopeless:
+        if ENOUGH * np.sum(weight**2) < 1 or (hopeless and done >= _FEW_ROUNDS):
             break
         shares = weight @ np.array([d.levels for d in drawn])
         levels = [n for n in levels if shares[n] > _NEGLIGIBLE]

@@ -54,7 +54,10 @@ class Bodies:
         return heading
 
     def readings(self, position: Floats, span: float | Floats = 0.0) -> Floats:
-        """(S, N) average curvature over sensors at `position` (N,), or the curvature at points."""
+        """(S, N) average curvature over sensors at `position` (N,), or the curvature at points.
+
+        Not a number for a sensor that lies beyond the body.
+        """
         bodies, length = len(self.breaks), self.breaks[:, -1:]
         # A point's curvature is the mean over a hundred-thousandth of the body.
         half = np.maximum(0.5 * np.asarray(span), 5e-6 * length)
@@ -63,7 +66,8 @@ class Bodies:
         kinks = self.breaks[:, None, 1:-1]
         covered = (kinks > low[:, :, None]) & (kinks < high[:, :, None])
         kinked = (covered * self.kink[:, None, :]).sum(axis=2)
-        mean: Floats = (self.turn(high) - self.turn(low) + kinked) / (high - low)
+        turn = self.turn(high) - self.turn(low) + kinked
+        mean: Floats = turn / np.where(high > low, high - low, np.nan)
         return mean
 
 

@@ -18,6 +18,7 @@ from thigmo.field.answer import (
     _face,
     _placed,
     _touched_in_passing,
+    _widened,
 )
 from thigmo.field.fit import ALIKE
 from thigmo.field.hypotheses import PEG, PEGS, WALL, Body, faced
@@ -107,18 +108,16 @@ def _spread(explanations: list[Samples]) -> np.ndarray:
 
 def test_samples_that_are_a_quarter_of_enough_place_half_as_well() -> None:
     many = _samples(0.009, (True, True))
-    even = np.zeros(200)
-    even[:12] = 1 / 12
-    few = replace(many, weight=even)
-    known = np.cov(few.touch[:12, 1, 0, 1:3].T, bias=True)
+    weight = np.full(200, 1e-9)
+    weight[:12] = 1 / 12
+    few = replace(many, weight=weight)
+    known = np.cov(few.touch[:, 1, 0, 1:3].T, bias=True, aweights=_widened(weight))
     assert _spread([few]) == pytest.approx(UNMODELLED * np.sqrt(50 / 12 * np.diag(known)))
     assert _spread([many]) == pytest.approx(UNMODELLED * many.touch[:, 1, 0, 1:3].std(axis=0))
 
 
 def test_what_no_model_explains_is_somewhere_along_the_body() -> None:
-    one = np.zeros(200)
-    one[:2] = 0.98, 0.02
-    unexplained = replace(_samples(0.009, (True, True)), weight=one, misfit=60.0)
+    unexplained = replace(_samples(0.009, (True, True)), misfit=60.0)
     contact = _placed(_readings(), [unexplained], 0, 9.0, UNEXPLAINED_WORDS, face=np.zeros((0, 2)))
     assert contact.interval_cm == (0.0, 53.0)
     widest = np.sqrt(np.linalg.eigvalsh(contact.covariance_cm2)[-1])
@@ -128,11 +127,14 @@ def test_what_no_model_explains_is_somewhere_along_the_body() -> None:
     )
 
 
-def test_too_few_draws_place_a_contact_nowhere() -> None:
+@pytest.mark.parametrize("draws", [3, 200])
+def test_too_few_draws_that_agree_place_a_contact_nowhere(draws: int) -> None:
     many = _samples(0.009, (True, True))
+    weight = np.full(draws, 1e-200)
+    weight[0] = 1.0
     few = replace(
-        many, q=many.q[:3], model=many.model[:3], touch=many.touch[:3], weight=np.full(3, 1 / 3),
-        compliance=many.compliance[:3],
+        many, q=many.q[:draws], model=many.model[:draws], touch=many.touch[:draws],
+        compliance=many.compliance[:draws], weight=weight,
     )  # fmt: skip
     contact = _placed(_readings(), [few], 0, 9.0, UNEXPLAINED_WORDS, face=np.zeros((0, 2)))
     assert contact.interval_cm == (0.0, 53.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -575,3 +576,40 @@ def test_readings_that_no_peg_explains_place_nothing(atlas: Atlas) -> None:
     answer = contacts(_readings(rows), _errors(), atlas)
     assert all(not contact.places and contact.doubt for contact in answer)
     assert all(contact.gave_way_at is None for contact in answer)
+
+
+def _stuck(curvature: np.ndarray, rng: np.random.Generator) -> None:
+    curvature[rng.integers(5, 20) :, rng.integers(5)] = 0.02
+
+
+def _wired_backwards(curvature: np.ndarray, rng: np.random.Generator) -> None:
+    curvature[:, rng.integers(5)] *= -1
+
+
+def _out_of_order(curvature: np.ndarray, rng: np.random.Generator) -> None:
+    curvature[:] = curvature[rng.permutation(len(curvature))]
+
+
+def _spiked(curvature: np.ndarray, rng: np.random.Generator) -> None:
+    curvature[rng.random(curvature.shape) < 0.05] += 0.05
+
+
+def _shaken(curvature: np.ndarray, rng: np.random.Generator) -> None:
+    curvature += 0.01 * np.sin(np.arange(len(curvature))[:, None] / 3 + np.arange(5))
+
+
+@pytest.mark.parametrize("lie", [_stuck, _wired_backwards, _out_of_order, _spiked, _shaken])
+def test_readings_that_lie_place_nothing_and_their_contact_lies_on_the_body(
+    atlas: Atlas, lie: Callable[[np.ndarray, np.random.Generator], None]
+) -> None:
+    rng = np.random.default_rng(3)
+    rows = {length: _beside_peg(34.0, 0.012, 1.0, length, rng)[0] for length in LENGTHS}
+    readings = _readings(rows)
+    lie(readings.curvature, rng)
+    for contact in contacts(readings, _errors(), atlas):
+        assert not contact.places
+        low, high = contact.interval_cm
+        assert 0.0 <= low <= contact.arc_cm <= high <= contact.length_cm
+        assert high - low > 10.0
+        least, most = np.sqrt(np.linalg.eigvalsh(contact.covariance_cm2))
+        assert 0.0 < least <= most <= 0.501 * contact.length_cm
