@@ -322,6 +322,11 @@ class Muscle(Placed):
         default_factory=_default_maps, validation_alias="map", serialization_alias="map"
     )
 
+    @property
+    def most_bend(self) -> float:
+        """Highest free curvature to which it bends the body, 1/cm."""
+        return max(entry.inflate.curvature(self.max_pressure_psi) for entry in self.maps)
+
 
 def _default_muscles(robot: dict[str, Any]) -> list[Muscle]:
     pressures = robot["body"].pressures if "body" in robot else _default_pressures({})

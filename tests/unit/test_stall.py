@@ -134,6 +134,30 @@ def test_a_trial_at_a_higher_pressure_decides() -> None:
     assert contact.status == "localized"
 
 
+def test_a_body_that_a_caught_tip_bends_where_no_sensor_reads_puts_it_nowhere() -> None:
+    length, bend = _growth(30.0, 40.0, 35.0)
+    last = np.median(bend[-5:], axis=0)
+    at_base, everted = np.isin(np.arange(10), (0, 5)), TABLE.center_cm < 26.0
+    unread = []
+    for read, bent in ((at_base, 0.01), (at_base, 0.0), (everted, 0.01)):
+        obstruction = stall(length, bend, TABLE, np.where(read, last - bent, np.nan))
+        assert obstruction is not None
+        room = ContactMap(Wiring.laid_out(CONFIG))
+        room.tried(obstruction, moved_on=False)
+        (contact,) = room.contacts
+        assert (contact.status == "localized") == (read is everted or not bent)
+        unread.append((obstruction.unread, np.linalg.eigvalsh(contact.covariance_cm2)[-1] ** 0.5))
+    shares, errors_cm = np.array(unread).T
+    until_cm = obstruction.interval_cm[1]  # read up to midway to the next sensor
+    assert shares == pytest.approx(
+        [(1 - 10 / until_cm) ** 2, 0, (1 - 30 / until_cm) ** 2], abs=0.01
+    )
+    # Half the square of the length, by a curvature that is even up to the muscles' highest.
+    widest = shares[0] * CONFIG.muscles[0].most_bend / 12**0.5 * obstruction.arc_cm**2
+    assert errors_cm[0] == pytest.approx(widest, rel=0.05)
+    assert errors_cm[1:].max() < 3.0
+
+
 def test_a_known_wall_that_leads_to_the_tip_is_the_likelier_cause() -> None:
     line = [(16.0, 10.0), (26.0, 5.0)]  # crosses the path at 36 cm
     assert causes(_obstruction(), [line]).wall > 0.5 > causes(_obstruction()).wall

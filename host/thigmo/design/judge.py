@@ -179,7 +179,7 @@ def _braked(part: str, pull_text: str, spool: Spool, pull_n: float) -> Finding:
 def _bends(config: RobotConfig, wiring: Wiring | None) -> Iterator[Finding]:
     body = config.body
     for muscle in config.muscles:
-        top = max(m.inflate.curvature(muscle.max_pressure_psi) for m in muscle.maps)
+        top = muscle.most_bend
         angle = _most_turned(body, top * (SIGN[muscle.side] if muscle.side else 0.0))
         text = f"bends the whole body by {degrees(angle):.0f} degrees at {top:.4f} 1/cm"
         if not all(muscle_map.calibrated for muscle_map in muscle.maps):

@@ -88,11 +88,7 @@ class SideFits:
         self.meanwhile: Callable[[], None] | None = None
         self._sweeps: dict[Side, list[Swept]] = {side: [] for side in config.sides}
         self._known: dict[Side, tuple[int, list[FittedContact]]] = {}
-        bend = max(
-            muscle_map.inflate.curvature(muscle.max_pressure_psi)
-            for muscle in config.muscles
-            for muscle_map in muscle.maps
-        )
+        bend = max(muscle.most_bend for muscle in config.muscles)
         self._atlas = _atlas(config.body.length_cm, _MAP_ERRS * bend)
 
     def add(self, sweep: SweepResult, body_pressure: int, sides: Collection[Side]) -> None:

@@ -35,6 +35,7 @@ _FLOOR_CM = 1.0
 _REACH = 3000.0 / 53**2  # of the length squared: where an obstacle may be, what a body sweeps
 _ANOTHER = 0.3  # prior odds of one more obstacle
 _ASIDE = 5.0 / 53  # of the length: a body that leans so near a stall leans on what stopped it
+_TWO_SIDED = 1.96  # standard errors of a normal distribution that hold 95 %
 _SAME_LENGTH_CM = 0.5  # of two measurements at one stage
 
 
@@ -112,7 +113,7 @@ class ContactMap:
         low, high = obstruction.interval_cm
         radius = self._config.body.radius_cm
         full_cm = self._config.body.length_cm
-        probability, kind = 1.0, "peg"
+        probability, kind, across_cm = 1.0, "peg", 0.0
         if isinstance(obstruction, HeldBent):
             model = "growth bent the body: its zeros moved"
             if self.stall and abs(obstruction.arc_cm - self.stall.length_cm) < _ASIDE * full_cm:
@@ -137,10 +138,15 @@ class ContactMap:
             if probability <= LIKELY:
                 return
             model = self.stall.words
-            placed = place_stalled_tip(
-                obstruction.body or Bend(high, 0.0), obstruction.arc_cm, (low, high), radius
-            )
+            body = obstruction.body or Bend(high, 0.0)
+            # Farther out than its sensors tell, a caught body may bend as far as its muscles do.
+            most_bend = max(muscle.most_bend for muscle in self._config.muscles)
+            unread_se = obstruction.unread * most_bend / np.sqrt(3.0)
+            across_cm = _TWO_SIDED * unread_se * obstruction.arc_cm**2 / 2
+            body = replace(body, curvature_se=float(np.hypot(body.curvature_se, unread_se)))
+            placed = place_stalled_tip(body, obstruction.arc_cm, (low, high), radius)
         sure = narrow(obstruction.interval_cm, full_cm) and probability >= SURE
+        sure &= narrow((-across_cm, across_cm), full_cm)
         contact = self._contact(
             placed,
             arc_cm=obstruction.arc_cm,

@@ -86,6 +86,8 @@ class Obstruction:
     late_cm: tuple[float, ...] = field(default=(), kw_only=True)
     # the body as it stands still, up to the interval's end; None: no sensor was zeroed to tell
     body: Bend | None = field(default=None, kw_only=True)
+    # share of the tip's way across that bends where no sensor reads could add to that of `body`
+    unread: float = field(default=0.0, kw_only=True)
 
 
 def causes(
@@ -182,9 +184,11 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable, zeros: Floats) ->
             everted = table.healthy & (end + FOLD_MARGIN_CM <= length_cm[0])
             last = np.where(everted, np.median(bend[-_SMOOTH:], axis=0), np.nan)
             body = _stalled_body(interval_cm[1], last - zeros, table)
+            unread = _unread_share(interval_cm[1], last - zeros, table)
             return Obstruction(
-                tip, tip, interval_cm, len(nearby), 0.0, late_cm=tuple(late), body=body
-            )
+                tip, tip, interval_cm, len(nearby), 0.0,
+                late_cm=tuple(late), body=body, unread=unread,
+            )  # fmt: skip
         late = [_left_late(length_cm, bend[:, i], float(start[i]), float(end[i])) for i in nearby]
     return None
 
@@ -202,6 +206,23 @@ def _stalled_body(length_cm: float, curvature: Floats, table: SensorTable) -> Be
     center_cm = table.center_cm[use]
     curvature_se = common_error(length_cm, center_cm, table.covariance[np.ix_(use, use)])
     return replace(measured_bend(length_cm, center_cm, curvature[use]), curvature_se=curvature_se)
+
+
+def _unread_share(length_cm: float, curvature: Floats, table: SensorTable) -> float:
+    """How much of a bent body's reach across lies beyond the sensors that read it, up to a length.
+
+    A body that the tip holds bent may bend either way farther out, as one that buckles does; one
+    that reads straight is taken for straight. Readings (10,) are NaN where a sensor does not tell.
+    """
+    known = np.isfinite(curvature)
+    error = np.sqrt(np.diag(table.covariance))
+    if not known.any() or (np.abs(curvature[known]) < _SIGMAS * error[known]).all():
+        return 0.0
+    last = float(table.center_cm[known].max())
+    beyond = table.center_cm[table.healthy & (table.center_cm < length_cm)]
+    beyond = beyond[beyond > last + _SAME_PLACE_CM]
+    read_cm = 0.5 * (last + float(beyond.min())) if beyond.size else length_cm
+    return (1.0 - read_cm / length_cm) ** 2
 
 
 def _before(length_cm: Floats, reading: Floats, start: float) -> float:
