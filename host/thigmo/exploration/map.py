@@ -113,7 +113,7 @@ class ContactMap:
         low, high = obstruction.interval_cm
         radius = self._config.body.radius_cm
         full_cm = self._config.body.length_cm
-        probability, kind, across_cm = 1.0, "peg", 0.0
+        probability, kind, unread_cm = 1.0, "peg", 0.0
         if isinstance(obstruction, HeldBent):
             model = "growth bent the body: its zeros moved"
             if self.stall and abs(obstruction.arc_cm - self.stall.length_cm) < _ASIDE * full_cm:
@@ -138,15 +138,15 @@ class ContactMap:
             if probability <= LIKELY:
                 return
             model = self.stall.words
-            body = obstruction.body or Bend(high, 0.0)
             # Farther out than its sensors tell, a caught body may bend as far as its muscles do.
             most_bend = max(muscle.most_bend for muscle in self._config.muscles)
-            unread_se = obstruction.unread * most_bend / np.sqrt(3.0)
-            across_cm = _TWO_SIDED * unread_se * obstruction.arc_cm**2 / 2
-            body = replace(body, curvature_se=float(np.hypot(body.curvature_se, unread_se)))
-            placed = place_stalled_tip(body, obstruction.arc_cm, (low, high), radius)
+            unread_cm = obstruction.unread * most_bend / 12**0.5 * obstruction.arc_cm**2
+            placed = place_stalled_tip(
+                obstruction.body or Bend(high, 0.0), obstruction.arc_cm, (low, high), radius,
+                unread_cm,
+            )  # fmt: skip
         sure = narrow(obstruction.interval_cm, full_cm) and probability >= SURE
-        sure &= narrow((-across_cm, across_cm), full_cm)
+        sure &= narrow((-_TWO_SIDED * unread_cm, _TWO_SIDED * unread_cm), full_cm)
         contact = self._contact(
             placed,
             arc_cm=obstruction.arc_cm,

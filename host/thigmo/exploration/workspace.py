@@ -197,17 +197,19 @@ def place_contact(
 
 
 def place_stalled_tip(
-    bend: Bend, arc: float, interval_cm: tuple[float, float], radius_cm: float
+    bend: Bend, arc: float, interval_cm: tuple[float, float], radius_cm: float, unread_cm: float
 ) -> PlacedContact:
     """Put what stopped a tip into the room: at an arc within its interval, in front of the tip.
 
-    It is anywhere in the interval along the body, and anywhere across the tip's face.
+    It is anywhere in the interval along the body, and anywhere across the tip's face. `unread_cm`:
+    one sigma by which the tip is elsewhere, either way, since no sensor reads the body's bends.
     """
     curve, (low, high) = centreline(bend), interval_cm
     x, y, heading = curve.pose(arc)
-    along = (high - low) / np.sqrt(12.0)
+    along = np.hypot((high - low) / np.sqrt(12.0), unread_cm)
     # A common curvature displaces the tip across the body by half of its square.
     across = np.hypot(2 * radius_cm / np.sqrt(12.0), bend.curvature_se * arc**2 / 2)
+    across = np.hypot(across, unread_cm)
     axes = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
     (xx, xy), (yx, yy) = ((axes * [along**2, across**2]) @ axes.T).tolist()
     track = [curve.pose(float(end))[:2] for end in (low, high)]
