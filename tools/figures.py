@@ -482,8 +482,8 @@ LONG = (
 )
 # The rules were chosen while looking at rooms of the usual seed: the table has others.
 SEEDS = {
-    "exploration": ("--seed", "103", "--most", "6"),
-    "field": ("--seed", "101", "--most", "60"),
+    "exploration": ("--seed", "109", "--most", "6"),
+    "field": ("--seed", "107", "--most", "30"),
 }
 OWN_ROWS: dict[str, Callable[[Any], list[Row]]] = {
     "exploration": _explorations,

@@ -63,6 +63,7 @@ _GIVES_WAY = 0.1
 
 _NAMES = {PEG: "peg", PEGS: "two pegs", WALL: "wall"}
 UNEXPLAINED_WORDS = "the model does not explain these sweeps"
+SCARCE_WORDS = "too few samples of the fit agree"
 RIVAL_WORDS = "another explanation is nearly as likely"
 EARLY_WORDS = "one length alone touched it, before the first readings that count"
 GAVE_WAY_WORDS = "one length alone touched it, until it gave way"
@@ -154,8 +155,10 @@ def _contacts(search: Search, expected: Callable[[Floats], Floats] | None) -> li
 def _doubt(explanations: list[Samples], readings: Readings) -> str:
     """Why the likeliest explanation, the first, is no answer; empty if it is."""
     best, *rivals = explanations
-    if not _explains(best, readings):
+    if not _leaves_little(best, readings):
         return UNEXPLAINED_WORDS
+    if best.effective < ENOUGH:
+        return SCARCE_WORDS
     rivalled = any(rival.log_evidence > best.log_evidence - _SURELY for rival in rivals)
     return RIVAL_WORDS if rivalled else ""
 
@@ -207,13 +210,18 @@ def _log_odds(search: Search, samples: Samples) -> float:
 
 
 def _explains(samples: Samples, readings: Readings) -> bool:
-    """Whether samples leave no more than a model that holds, and enough of them agree.
+    """Whether samples leave no more than a model that holds, and enough of them agree."""
+    return _leaves_little(samples, readings) and samples.effective >= ENOUGH
+
+
+def _leaves_little(samples: Samples, readings: Readings) -> bool:
+    """Whether the likeliest sample leaves no more than a model that holds.
 
     Where one peg does not explain the readings, much may stand there that is no hypothesis: a row
     of dowels, a corner, a third peg. So other explanations must leave no more than is usual.
     """
     most = _most_misfit(readings) if samples.hypothesis == PEG else _USUAL
-    return samples.misfit * ALIKE <= most and samples.effective >= ENOUGH
+    return samples.misfit * ALIKE <= most
 
 
 def _most_misfit(readings: Readings) -> float:

@@ -16,6 +16,8 @@ from scipy.special import logsumexp, softmax
 from thigmo.field.fit import MOST_EVIDENCE_PASSES, SPREAD_STD, Mode
 from thigmo.field.hypotheses import PEG, Hypothesis
 from thigmo.field.proposals import (
+    SETTLED_SPREAD,
+    SPREAD,
     WIDER,
     Proposal,
     along_ridges,
@@ -29,7 +31,8 @@ from thigmo.field.search import MODELS, Search
 _MODEL_ODDS = 0.6, 0.3, 0.1  # prior ones of each level of the mechanics' error
 _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
-ROUND, ROUNDS, _FEW_ROUNDS = 60, 16, 3
+ROUND, ROUNDS, _FEW_ROUNDS = 60, 24, 3
+_WIDE_ROUNDS = 8  # that draw wider than the samples so far, to find what these lack
 ENOUGH = 50.0  # effective samples
 
 
@@ -132,7 +135,8 @@ def sample(
             break
         shares = weight @ np.array([d.levels for d in drawn])
         levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
-        bells, bell_shares = learnt_bells(q, logs, chain_of[ridges.nearest(q)])
+        spread = SPREAD if done <= _WIDE_ROUNDS else SETTLED_SPREAD
+        bells, bell_shares = learnt_bells(q, logs, chain_of[ridges.nearest(q)], spread)
         proposals += bells
         learnt = _LEARNT if bells else 0.0
         round_shares = [1 - learnt, *(learnt * bell_shares)]

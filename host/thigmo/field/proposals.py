@@ -21,8 +21,9 @@ _DRAWS, _LEAST_DRAWS = 8000, 60  # of a bell, for its part where nothing unsigne
 _TEMPER = 0.35  # exponent of the modes' weights among the proposals
 _TEMPERED = 25.0  # effective samples from which later rounds learn
 _LEAST_TEMPER = 1e-3  # power of the weights: some samples are impossible, whatever the power
-# Of their covariance: samples that lie near a mode agree before those of a wide tail are found.
-_SPREAD = 3.0
+# Of what is learnt, over the samples' covariance: wide, since samples near a mode agree before
+# those of a wide tail are found; and once these have been sought, no wider than helps to agree.
+SPREAD, SETTLED_SPREAD = 3.0, 1.5
 _LEAST_SHARE = 0.02  # of a chain's weight, with less of which nothing is learnt of it
 _KEPT = np.array([0, 1, 3, 4, 5, 6])  # unknowns other than the radius
 _UNFOLDED = 0.25  # of the proposals, against those that hold to a mode's fold
@@ -147,10 +148,13 @@ def _mirrors(unknowns: int) -> Floats:
     return mirrors
 
 
-def learnt_bells(q: Floats, logs: Floats, chain: npt.NDArray[np.intp]) -> tuple[list[Bell], Floats]:
+def learnt_bells(
+    q: Floats, logs: Floats, chain: npt.NDArray[np.intp], spread: float
+) -> tuple[list[Bell], Floats]:
     """What samples of each chain are spread as, and the chains' shares of the weight.
 
-    `logs`: (k,) logarithms of the samples' weights.
+    `logs`: (k,) logarithms of the samples' weights; `spread`: of the bells over the samples'
+    covariance.
     """
     # Tempered until enough samples share the weight to give a covariance. A weight may be below
     # what a number can hold, so its logarithm is tempered.
@@ -167,7 +171,7 @@ def learnt_bells(q: Floats, logs: Floats, chain: npt.NDArray[np.intp]) -> tuple[
             continue
         center = part @ q[on]
         off = q[on] - center
-        covariance = _SPREAD * (part[:, None] * off).T @ off
+        covariance = spread * (part[:, None] * off).T @ off
         bells.append(Bell(center, covariance + 1e-9 * np.diag(np.diag(covariance))))
         shares.append(share)
     return bells, np.array(shares) / max(sum(shares), 1e-300)

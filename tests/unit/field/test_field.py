@@ -18,7 +18,7 @@ from thigmo.field import (
     contacts,
     partial_answer,
 )
-from thigmo.field.answer import UNEXPLAINED_WORDS, _widened
+from thigmo.field.answer import SCARCE_WORDS, _widened
 from thigmo.field.fit import ALIKE, FieldFit
 from thigmo.field.hypotheses import (
     AHEAD,
@@ -563,7 +563,7 @@ def test_a_contact_of_too_few_effective_samples_is_no_answer(
     monkeypatch.setattr("thigmo.field.answer.ENOUGH", 1e4)
     contact = _one(contacts(_readings(rows), _errors(), atlas))
     assert not contact.places
-    assert contact.doubt == UNEXPLAINED_WORDS
+    assert contact.doubt == SCARCE_WORDS
 
 
 @pytest.mark.sim
