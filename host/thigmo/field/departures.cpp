@@ -113,7 +113,7 @@ Departures departures(const Bins& bins, const double* mean, const double* shift,
 }
 
 // A bin's precision is diag(weight^2) - u u', so what belongs to one sensor meets other sensors in
-// the rank-one part alone.
+// the rank-one part alone. Most errors are another sweep's, and leave a bin's readings as they are.
 void normal_equations(int bins, int sensors, int common_count, int separate_count,
                       const double* common, const double* separate, const double* weight,
                       const double* along, const double* left, double* matrix, double* right) {
@@ -121,6 +121,7 @@ void normal_equations(int bins, int sensors, int common_count, int separate_coun
   std::fill(matrix, matrix + static_cast<std::size_t>(all) * all, 0.0);
   std::fill(right, right + all, 0.0);
   std::vector<double> outwards(all), scaled(common_count);
+  std::vector<int> moving;  // columns that are not 0, ascending
   for (int i = 0; i < bins; ++i) {
     double squared = 0.0;
     for (int q = 0; q < sensors; ++q) squared += along[i * sensors + q] * along[i * sensors + q];
@@ -133,12 +134,15 @@ void normal_equations(int bins, int sensors, int common_count, int separate_coun
       const double precision = weight[cell] * weight[cell];
       const double u = weight[cell] * along[cell] / std::sqrt(1.0 + squared);
       outwards_left += u * left[cell];
+      moving.clear();
       for (int r = 0; r < common_count; ++r) {
+        if (common_at[r] == 0.0) continue;
+        moving.push_back(r);
         scaled[r] = precision * common_at[r];
         outwards[r] += u * common_at[r];
         right[r] += scaled[r] * left[cell];
         double* row = matrix + static_cast<std::size_t>(r) * all;
-        for (int c = 0; c <= r; ++c) row[c] += scaled[r] * common_at[c];
+        for (const int c : moving) row[c] += scaled[r] * common_at[c];
       }
       for (int k = 0; k < separate_count; ++k) {
         const int r = common_count + k * sensors + q;
@@ -146,17 +150,19 @@ void normal_equations(int bins, int sensors, int common_count, int separate_coun
         outwards[r] = u * separate_at[k];
         right[r] += precision * separate_at[k] * left[cell];
         double* row = matrix + static_cast<std::size_t>(r) * all;
-        for (int c = 0; c < common_count; ++c) row[c] += separate_at[k] * scaled[c];
+        for (const int c : moving) row[c] += separate_at[k] * scaled[c];
         for (int l = 0; l <= k; ++l) {
           row[common_count + l * sensors + q] += precision * separate_at[k] * separate_at[l];
         }
       }
     }
+    moving.clear();
     for (int r = 0; r < all; ++r) {
       if (outwards[r] == 0.0) continue;
+      moving.push_back(r);
       right[r] -= outwards[r] * outwards_left;
       double* row = matrix + static_cast<std::size_t>(r) * all;
-      for (int c = 0; c <= r; ++c) row[c] -= outwards[r] * outwards[c];
+      for (const int c : moving) row[c] -= outwards[r] * outwards[c];
     }
   }
   for (int r = 0; r < all; ++r) {
