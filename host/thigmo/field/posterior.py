@@ -31,9 +31,18 @@ from thigmo.field.search import MODELS, Search
 _MODEL_ODDS = 0.6, 0.3, 0.1  # prior ones of each level of the mechanics' error
 _LEARNT = 0.75  # share of a later round that lies as earlier samples are spread
 _NEGLIGIBLE = 1e-3  # share of a level of the mechanics' error that later rounds omit
-ROUND, ROUNDS, _FEW_ROUNDS = 60, 24, 3
-_WIDE_ROUNDS = 8  # that draw wider than the samples so far, to find what these lack
+ROUND, _FEW_ROUNDS = 60, 3
 ENOUGH = 50.0  # effective samples
+
+
+class _Rounds(NamedTuple):
+    wide: int  # that draw wider than the samples so far, to find what these lack
+    most: int
+
+
+# Where samples of two pegs or a wall do not agree, the search may have missed a place: to draw on
+# until they do would localize another.
+_ROUNDS_OF_A_PEG, _ROUNDS_OF_OTHERS = _Rounds(wide=8, most=24), _Rounds(wide=16, most=16)
 
 
 @dataclass(frozen=True)
@@ -94,11 +103,12 @@ def sample(
     likeliest = min(modes, key=lambda mode: mode.cost)
     drifts, levels = _drifts(search, likeliest), _likely_levels(search, likeliest)
     proposals: list[Proposal] = [ridges]
-    counts = np.zeros(ROUNDS * len(chains) + 1)
+    rounds = _ROUNDS_OF_A_PEG if hypothesis == PEG else _ROUNDS_OF_OTHERS
+    counts = np.zeros(rounds.most * len(chains) + 1)
     drawn: list[_Draw] = []
     weight, round_shares = np.zeros(0), [1.0]
     readings = float(np.sum(~fit.missing))
-    for done in range(1, ROUNDS + 1):
+    for done in range(1, rounds.most + 1):
         possible: list[tuple[Floats, float]] = []
         for n in rng.choice(len(round_shares), ROUND, p=round_shares):
             at = len(proposals) - len(round_shares) + n if n else 0
@@ -135,7 +145,7 @@ def sample(
             break
         shares = weight @ np.array([d.levels for d in drawn])
         levels = [n for n in levels if shares[n] > _NEGLIGIBLE]
-        spread = SPREAD if done <= _WIDE_ROUNDS else SETTLED_SPREAD
+        spread = SPREAD if done <= rounds.wide else SETTLED_SPREAD
         bells, bell_shares = learnt_bells(q, logs, chain_of[ridges.nearest(q)], spread)
         proposals += bells
         learnt = _LEARNT if bells else 0.0
