@@ -182,9 +182,9 @@ def stall(length_cm: Floats, bend: Floats, table: SensorTable, zeros: Floats) ->
             tip = float(np.mean(tips))
             interval_cm = min(lows), max(highs)
             everted = table.healthy & (end + FOLD_MARGIN_CM <= length_cm[0])
-            last = np.where(everted, np.median(bend[-_SMOOTH:], axis=0), np.nan)
-            body = _stalled_body(interval_cm[1], last - zeros, table)
-            unread = _unread_share(interval_cm[1], last - zeros, table)
+            last = np.where(everted, np.median(bend[-_SMOOTH:], axis=0), np.nan) - zeros
+            body = _stalled_body(interval_cm[1], last, table)
+            unread = _unread_share(interval_cm[1], last, table)
             return Obstruction(
                 tip, tip, interval_cm, len(nearby), 0.0,
                 late_cm=tuple(late), body=body, unread=unread,

@@ -23,7 +23,7 @@ from thigmo.field.hypotheses import (
     WALL,
     WALL_BEND,
     Body,
-    nearest_on,
+    way_into,
 )
 from thigmo.field.posterior import ENOUGH, Samples, laplace, sample
 from thigmo.field.readings import Errors, Flags, Floats, Indices, Readings
@@ -262,8 +262,8 @@ def _touched_in_passing(samples: Samples, readings: Readings, body: Body) -> Sam
             if n < samples.hypothesis.pegs:  # of what lies ahead of the end, the end
                 arc = reached[at] = min(q[at], body.longest)
             x, y = samples.hypothesis.skin(reached, body)[n]
-            near_x, near_y = nearest_on(samples.hypothesis.place(q, body)[n], x, y)
-            touch[i, longest, n] = arc, x, y, 0.0, np.arctan2(near_y - y, near_x - x)
+            normal = way_into(samples.hypothesis.place(q, body)[n], x, y)
+            touch[i, longest, n] = arc, x, y, 0.0, normal
     return replace(samples, touch=touch)
 
 

@@ -31,7 +31,7 @@ from thigmo.field.hypotheses import (
     YIELD,
     Body,
     Hypothesis,
-    nearest_on,
+    way_into,
 )
 from thigmo.field.readings import Errors, Floats, Readings
 from thigmo.mechanics import Obstacle, Rod, Tube
@@ -79,8 +79,7 @@ class Tables(NamedTuple):
         normal = np.full((len(self.obstacles), 1), np.nan)
         for p, obstacle in enumerate(self.obstacles):
             _, x, y, _ = contact[p]
-            near_x, near_y = nearest_on(obstacle, x, y)
-            normal[p] = np.arctan2(near_y - y, near_x - x)
+            normal[p] = way_into(obstacle, x, y)
         return np.hstack([contact, normal])
 
 

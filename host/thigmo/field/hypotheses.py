@@ -335,6 +335,12 @@ def nearest_on(obstacle: Obstacle, x: Floats, y: Floats) -> tuple[Floats, Floats
     return obstacle.x + share * dx, obstacle.y + share * dy
 
 
+def way_into(obstacle: Obstacle, x: float, y: float) -> float:
+    """Direction from a touched point of the skin to what it touches, rad."""
+    near_x, near_y = nearest_on(obstacle, np.asarray(x), np.asarray(y))
+    return float(np.arctan2(near_y - y, near_x - x))
+
+
 def from_wall(wall: Wall, x: Floats, y: Floats) -> Floats:
     """Distances of points from a wall's middle line."""
     near_x, near_y = nearest_on(wall, x, y)

@@ -96,7 +96,7 @@ def _robot() -> tuple[RobotConfig, Answer]:
     config = Scene.load("default").believed(3)
     wiring = Wiring.laid_out(config)
     muscle = config.muscle("left")
-    most = max(muscle_map.inflate.curvature(muscle.max_pressure_psi) for muscle_map in muscle.maps)
+    most = muscle.most_bend
     atlas = Atlas(config.body.length_cm, _BEND_MARGIN * most)
 
     def answer(sweeps: Sequence[Swept]) -> list[FieldContact]:
